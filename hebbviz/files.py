@@ -1,0 +1,140 @@
+"""Learners on disk: an npz with no pickle in it, a format version, and everything a run needs.
+
+A saved learner continues exactly. Written under a temporary name and then renamed, so that a file
+of the final name is always whole.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hebbviz.learner import Learner
+from hebbviz.moments import Keyframe
+from hebbviz.task import Task
+from hebbviz.topology import Topology
+
+FORMAT = 1
+PROGRAM = "hebbviz learner"
+
+_ARRAYS = ("network", "world", "gamma")
+
+
+class BadFile(ValueError):
+    """A file that is no learner, is damaged, or is of a newer format; the message says which."""
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a file says of its learner besides the arrays."""
+
+    task: str
+    preset: str
+    topology: Topology
+    seed: int
+    lanes: int
+    first_lane: int
+    step: int
+    frozen: bool
+
+
+def save(learner: Learner, path: str | Path, *, task_name: str | None = None) -> Path:
+    """Write a learner to `path` (.npz is added if missing); returns the path written.
+
+    `task_name` is what the user called the task, where that is not its own name. Raises OSError
+    if the file cannot be written; an older file of that name is then as it was.
+    """
+    target = Path(path) if str(path).endswith(".npz") else Path(f"{path}.npz")
+    keyframe = learner.keyframe()
+    header = {
+        "program": PROGRAM,
+        "format": FORMAT,
+        "task": task_name or learner.task.name,
+        "preset": learner.task.preset_name,
+        "topology": learner.topology.to_json(),
+        "seed": learner.seed,
+        "lanes": learner.lanes,
+        "first_lane": learner.first_lane,
+        "step": keyframe.step,
+        "frozen": keyframe.frozen,
+    }
+    arrays = {name: getattr(keyframe, name) for name in _ARRAYS}
+    with tempfile.NamedTemporaryFile(
+        dir=target.parent, prefix=f".{target.name}.", suffix=".part", delete=False
+    ) as part:
+        try:
+            np.savez(part, header=np.array(json.dumps(header)), **arrays)
+            part.flush()
+            os.fsync(part.fileno())
+            Path(part.name).replace(target)
+        except BaseException:
+            Path(part.name).unlink(missing_ok=True)
+            raise
+    return target
+
+
+def load(path: str | Path, make_task: Callable[[str, str], Task]) -> Learner:
+    """Read a learner; `make_task(name, preset)` makes the task that the file names.
+
+    Raises BadFile, with one line, for anything that is not a whole learner of this format or
+    an older one, and OSError if the file cannot be read.
+    """
+    header, arrays = _read(Path(path))
+    task = make_task(header.task, header.preset)
+    try:
+        learner = Learner(
+            task, topology=header.topology, seed=header.seed, lanes=header.lanes,
+            first_lane=header.first_lane,
+        )  # fmt: skip
+        learner.restore(Keyframe(header.step, frozen=header.frozen, **arrays))
+    except ValueError as error:
+        raise BadFile(f"{path} does not fit task {header.task!r}: {error}") from error
+    return learner
+
+
+def _read(path: Path) -> tuple[Header, dict[str, Any]]:
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            if file.zip.testzip() is not None:  # reading stops short of the checksum if damaged
+                raise BadFile(f"{path} is damaged")
+            data = json.loads(str(file["header"]))
+            _check_origin(path, data)
+            arrays = {name: np.array(file[name], dtype=np.float64) for name in _ARRAYS}
+            header = _header(data)
+    except (OSError, BadFile):
+        raise
+    except Exception as error:  # a damaged file makes zipfile, numpy and json raise many kinds
+        raise BadFile(f"{path} is not a learner saved by hebbviz, or it is damaged") from error
+    if any(a.ndim != 2 or a.shape[1] != header.lanes for a in arrays.values()):
+        raise BadFile(f"{path} is damaged: an array has a wrong shape")
+    return header, arrays
+
+
+def _check_origin(path: Path, data: Any) -> None:
+    if not isinstance(data, dict) or data.get("program") != PROGRAM:
+        raise BadFile(f"{path} is not a learner saved by hebbviz")
+    if not isinstance(data.get("format"), int) or data["format"] > FORMAT:
+        raise BadFile(
+            f"{path} is of format {data.get('format')!r}, newer than this hebbviz knows "
+            f"({FORMAT}): update hebbviz"
+        )
+
+
+def _header(data: dict[str, Any]) -> Header:
+    return Header(
+        task=str(data["task"]),
+        preset=str(data["preset"]),
+        topology=Topology.from_json(data["topology"]),
+        seed=int(data["seed"]),
+        lanes=int(data["lanes"]),
+        first_lane=int(data["first_lane"]),
+        step=int(data["step"]),
+        frozen=bool(data["frozen"]),
+    )

@@ -1,0 +1,258 @@
+"""What a world must say so that a network can learn in it.
+
+A task is a small partially observable decision process with all of its state in one array of
+numbers. Its parts are separate functions, and each is pure: the next state depends on nothing but
+the state, the action and the draws. That alone makes runs repeatable, saves exact, and lets the
+page rewind. `tests/conformance.py` checks any task against this contract.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.topology import SYMMETRIC, Activity, Topology, feedforward
+
+if TYPE_CHECKING:
+    from hebbviz.learner import Learner
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Input:
+    """One input value: what it is, its unit, and the gain that makes it an activity."""
+
+    name: str
+    unit: str = ""
+    gain: float = 1.0
+
+
+@dataclass(frozen=True)
+class Output:
+    """One output neuron: what the world does when it fires and when it is silent."""
+
+    name: str
+    fires: str
+    silent: str
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A named setting of a task: the learner's β and γ and what the task needs besides.
+
+    `note` says in a sentence how it differs from the paper.
+    """
+
+    beta: float
+    gamma: float
+    note: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Totals over a stretch of steps: the task's reward, the broadcast one, episodes ended."""
+
+    steps: int
+    reward: float
+    broadcast: float
+    ended: float
+
+    def __sub__(self, earlier: Tally) -> Tally:
+        return Tally(
+            self.steps - earlier.steps,
+            self.reward - earlier.reward,
+            self.broadcast - earlier.broadcast,
+            self.ended - earlier.ended,
+        )
+
+    @property
+    def average_reward(self) -> float:
+        return self.reward / max(1, self.steps)
+
+
+@dataclass(frozen=True)
+class Score:
+    """A task's measure of success over a stretch; `is_bound`: the truth is this or more."""
+
+    value: float
+    is_bound: bool = False
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What the learning curve shows: a name, a key for files, a unit, and its axis.
+
+    `span` is the range of the axis, None for one that follows the curve; a logarithmic axis
+    needs one.
+    """
+
+    name: str
+    key: str
+    unit: str = ""
+    span: tuple[float, float] | None = None
+    logarithmic: bool = False
+
+
+@dataclass(frozen=True)
+class Prop:
+    """A thing of the world's scene: 'box', 'sphere' or 'cylinder' of unit size, to be scaled.
+
+    `color` is red, green, blue in 0..1, or the name of a role in the page's palette: 'world',
+    'world strong', 'accent', 'positive', 'negative'. `trail` asks for the path it took.
+    """
+
+    name: str
+    shape: str
+    color: str | tuple[float, float, float] = "world"
+    trail: bool = False
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the props are: arrays in the order of `Task.props`, and a line of words.
+
+    `position` (props, 3) in scene units, z up; `rotation` (props, 4) quaternions, w first;
+    `scale` (props, 3) full extent along each axis.
+    """
+
+    position: Array
+    rotation: Array
+    scale: Array
+    words: str = ""
+
+
+@dataclass(frozen=True)
+class Control:
+    """A button of the task on the page; pressing it calls `Task.press` with its name."""
+
+    name: str
+    hint: str
+    key: str | None = None
+
+
+class Task:
+    """A world to learn in. Subclass it; a worked example is in the README.
+
+    The draws of a restart are others than those of the transition that ended the episode.
+
+    Class attributes say what it is; the methods say how it goes. Everything below `outputs` may
+    be left as it is.
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str] = ""
+    outputs: ClassVar[tuple[Output, ...]]
+    presets: ClassVar[Mapping[str, Preset]]
+    dt: ClassVar[float | None] = None
+    """Seconds that a step lasts; None for a task that has no time but its steps."""
+    hidden: ClassVar[tuple[int, ...]] = (8,)
+    activity: ClassVar[Activity] = SYMMETRIC
+    weight_range: ClassVar[float] = 0.1
+    """Initial weights are uniform in ± this."""
+    measure: ClassVar[Measure] = Measure("average reward", "average_reward", "per step")
+    frozen_figures: ClassVar[tuple[str, ...]] = ()
+    """Keys of `evaluate` for the learning curve; fractions where the measure is in %."""
+    props: Sequence[Prop] = ()
+    controls: ClassVar[tuple[Control, ...]] = ()
+    natural_speed: ClassVar[float | None] = None
+    """Steps per second at which the page opens; None for as fast as it goes."""
+    watch_speed: ClassVar[float | None] = None
+    """Steps per second of the excerpts that the page plays; None for real time, or 25."""
+    hand_reward: ClassVar[float] = 1.0
+    """How much reward the page's + and - buttons give."""
+
+    inputs: tuple[Input, ...]
+
+    def __init__(self, preset: str | None = None) -> None:
+        name = next(iter(self.presets)) if preset is None else preset
+        if name not in self.presets:
+            known = ", ".join(self.presets)
+            raise ValueError(f"task {self.name!r} has no preset {name!r}; it has: {known}")
+        self.preset_name = name
+        self.preset = self.presets[name]
+
+    # The world
+
+    def restart(self, draws: Callable[[int], Array]) -> Array:
+        """A new episode's state, shape (numbers of the state,)."""
+        raise NotImplementedError
+
+    def transition(self, state: Array, action: Array, draws: Callable[[int], Array]) -> Array:
+        """The state after one step; `action` (outputs,) holds the outputs' activities u."""
+        raise NotImplementedError
+
+    def observation(self, state: Array) -> Array:
+        """The input values, shape (inputs,), gains applied."""
+        raise NotImplementedError
+
+    def reward(self, state: Array) -> float:
+        """The reward for having come into this state."""
+        raise NotImplementedError
+
+    def ended(self, state: Array) -> bool:
+        """Whether the episode ends here; the next state is then a restart."""
+        return False
+
+    def clamps(self, state: Array) -> Array | None:
+        """What makes neurons fire (1) or not (0) at the next step, NaN leaving it to chance.
+
+        Shape (neurons,), in the order of the topology; None leaves all of them to chance.
+        """
+        return None
+
+    def press(self, state: Array, control: str) -> Array:
+        """The state after a button of `controls` was pressed."""
+        return state
+
+    # What is seen of it
+
+    def pose(self, state: Array) -> Pose:
+        """The scene of a state."""
+        return Pose(np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)))
+
+    # How well it goes
+
+    def score(self, tally: Tally) -> Score:
+        """The measure of success over a stretch of steps."""
+        return Score(tally.average_reward)
+
+    def evaluate(self, learner: Learner) -> dict[str, float]:
+        """How a frozen copy does, in a run of its own; the learner is left as it is."""
+        copy = learner.frozen_copy()
+        before = copy.tally()
+        copy.advance(100_000)
+        return {self.measure.key: self.score(copy.tally() - before).value}
+
+    def results(self, learner: Learner, late: Tally) -> dict[str, float]:
+        """The figures `hebbviz train` reports; `late` covers the last fifth of its steps."""
+        return {self.measure.key: self.score(late).value}
+
+    # What a learner starts from
+
+    def topology(self, hidden: Sequence[int] | None = None) -> Topology:
+        sizes = self.hidden if hidden is None else tuple(hidden)
+        return feedforward(len(self.inputs), sizes, len(self.outputs), activity=self.activity)
+
+    def initial_weights(self, draws: Array) -> Array:
+        """Initial weights from uniform draws, both of shape (synapses,)."""
+        return self.weight_range * (2.0 * draws - 1.0)
+
+
+class CompiledTask(Task):
+    """A task whose step is compiled too: the same functions, for all lanes at once.
+
+    `answer` is a function compiled with the signature `engine.WORLD`. It must do what the
+    methods of the task do, to the bit; the conformance suite compares them.
+    """
+
+    answer: ClassVar[Any]
+
+    def data(self) -> Array:
+        """Constants that `answer` reads, shape (rows, columns)."""
+        return np.zeros((1, 1))

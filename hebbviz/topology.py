@@ -1,0 +1,209 @@
+"""Who is connected to whom: named groups and the projections between them.
+
+A network is a list of groups. Input groups carry values that the world sets; every other group
+is made of spiking neurons. A projection connects each unit of one group to each neuron of
+another, itself included, so recurrent networks need nothing special.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+Activity = tuple[float, float]
+"""The values of u for a silent and for a firing neuron: (0, 1) or (-1, 1)."""
+
+BINARY: Activity = (0.0, 1.0)
+SYMMETRIC: Activity = (-1.0, 1.0)
+
+LARGEST_GROUP = 4096
+MOST_SYNAPSES = 4_000_000
+
+
+@dataclass(frozen=True)
+class Group:
+    """A named population of `size` units; `is_input` says that the world sets its values."""
+
+    name: str
+    size: int
+    is_input: bool = False
+
+
+@dataclass(frozen=True)
+class Projection:
+    """All-to-all synapses from group `pre` to group `post`, called by those names."""
+
+    pre: str
+    post: str
+
+    @property
+    def name(self) -> str:
+        return f"{self.pre} → {self.post}"
+
+
+@dataclass(frozen=True)
+class Topology:
+    """Groups, projections and the pair of activity values.
+
+    Units are numbered input groups first, then neurons, each in the order of `groups`. Synapses
+    are numbered projection by projection, each of shape (post, pre) row by row.
+
+    Raises
+    ------
+    ValueError
+        If names repeat or are unknown, a size is out of range, an input is a target, or the
+        group of outputs is not one of neurons.
+    """
+
+    groups: tuple[Group, ...]
+    projections: tuple[Projection, ...]
+    output: str
+    activity: Activity = SYMMETRIC
+
+    def __post_init__(self) -> None:
+        _check_groups(self.groups)
+        by_name = {g.name: g for g in self.groups}
+        for p in self.projections:
+            for name in (p.pre, p.post):
+                if name not in by_name:
+                    raise ValueError(f"projection {p.name}: there is no group {name!r}")
+            if by_name[p.post].is_input:
+                raise ValueError(f"projection {p.name}: an input group cannot be a target")
+        if len(set(self.projections)) < len(self.projections):
+            raise ValueError("projections must differ: two connect the same pair of groups")
+        if not self.projections:
+            raise ValueError("a network needs at least one projection")
+        if self.output not in by_name or by_name[self.output].is_input:
+            raise ValueError(f"output must name a group of neurons, got {self.output!r}")
+        if self.activity not in (BINARY, SYMMETRIC):
+            raise ValueError(f"activity must be (0, 1) or (-1, 1), got {self.activity}")
+        if self.synapses > MOST_SYNAPSES:
+            raise ValueError(f"a network has at most {MOST_SYNAPSES} synapses, got {self.synapses}")
+
+    @property
+    def input_groups(self) -> tuple[Group, ...]:
+        return tuple(g for g in self.groups if g.is_input)
+
+    @property
+    def neuron_groups(self) -> tuple[Group, ...]:
+        return tuple(g for g in self.groups if not g.is_input)
+
+    @property
+    def inputs(self) -> int:
+        """Number of input units."""
+        return sum(g.size for g in self.input_groups)
+
+    @property
+    def neurons(self) -> int:
+        """Number of spiking neurons."""
+        return sum(g.size for g in self.neuron_groups)
+
+    @property
+    def units(self) -> int:
+        """Inputs and neurons together."""
+        return self.inputs + self.neurons
+
+    @property
+    def synapses(self) -> int:
+        return sum(self.shape(p)[0] * self.shape(p)[1] for p in self.projections)
+
+    def group(self, name: str) -> Group:
+        return next(g for g in self.groups if g.name == name)
+
+    def first_unit(self, name: str) -> int:
+        """Number of the first unit of a group, in the order inputs, then neurons."""
+        start = 0
+        for g in (*self.input_groups, *self.neuron_groups):
+            if g.name == name:
+                return start
+            start += g.size
+        raise KeyError(name)
+
+    def units_of(self, name: str) -> slice:
+        start = self.first_unit(name)
+        return slice(start, start + self.group(name).size)
+
+    def neurons_of(self, name: str) -> slice:
+        start = self.first_unit(name) - self.inputs
+        return slice(start, start + self.group(name).size)
+
+    def shape(self, projection: Projection) -> tuple[int, int]:
+        """(post, pre) sizes of a projection."""
+        return self.group(projection.post).size, self.group(projection.pre).size
+
+    def synapses_of(self, index: int) -> slice:
+        """The synapses of projection number `index` in the flat numbering."""
+        sizes = [a * b for a, b in map(self.shape, self.projections)]
+        start = sum(sizes[:index])
+        return slice(start, start + sizes[index])
+
+    def is_held(self, projection: Projection) -> bool:
+        """Whether the presynaptic values come from the world (held input, see `rule`)."""
+        return self.group(projection.pre).is_input
+
+    def describe(self) -> str:
+        """Sizes in short, as in '8-4-2'."""
+        return "-".join(str(g.size) for g in self.groups)
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "groups": [[g.name, g.size, g.is_input] for g in self.groups],
+            "projections": [[p.pre, p.post] for p in self.projections],
+            "output": self.output,
+            "activity": list(self.activity),
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Topology:
+        """The inverse of `to_json`; raises ValueError, TypeError or KeyError on anything else."""
+        low, high = data["activity"]
+        return cls(
+            groups=tuple(Group(str(n), int(s), bool(i)) for n, s, i in data["groups"]),
+            projections=tuple(Projection(str(a), str(b)) for a, b in data["projections"]),
+            output=str(data["output"]),
+            activity=(float(low), float(high)),
+        )
+
+
+def feedforward(
+    inputs: int, hidden: Iterable[int], outputs: int, *, activity: Activity = SYMMETRIC
+) -> Topology:
+    """Layers, each connected to the next: the networks of the paper's simulations."""
+    sizes = list(hidden)
+    names = ["hidden"] if len(sizes) == 1 else [f"hidden {k + 1}" for k in range(len(sizes))]
+    groups = (
+        Group("input", inputs, is_input=True),
+        *(Group(n, s) for n, s in zip(names, sizes, strict=True)),
+        Group("output", outputs),
+    )
+    projections = tuple(Projection(a.name, b.name) for a, b in pairwise(groups))
+    return Topology(groups, projections, "output", activity)
+
+
+def parse_hidden(text: str) -> tuple[int, ...]:
+    """Sizes of the hidden layers from a command line: '16', '8,8', or 'none'.
+
+    Raises
+    ------
+    ValueError
+        If the text is anything else.
+    """
+    if text.strip().lower() == "none":
+        return ()
+    if not re.fullmatch(r"\d{1,5}(,\d{1,5}){0,7}", text.strip()):
+        raise ValueError(f"hidden must be sizes such as 16 or 8,8, or none, got {text!r}")
+    return tuple(int(part) for part in text.split(","))
+
+
+def _check_groups(groups: tuple[Group, ...]) -> None:
+    names = [g.name for g in groups]
+    if len(set(names)) < len(names):
+        raise ValueError(f"groups must have different names, got {', '.join(names)}")
+    for g in groups:
+        if not 1 <= g.size <= LARGEST_GROUP:
+            raise ValueError(f"group {g.name!r} must have 1 to {LARGEST_GROUP} units, got {g.size}")
+    if not any(not g.is_input for g in groups):
+        raise ValueError("a network needs at least one group of neurons")
