@@ -1,0 +1,88 @@
+"""The square of the pendulum's puck, as a pymunk space that finds and bounces its walls.
+
+pymunk moves a single rigid disc; it does not know the rod. So each time step goes in turns:
+
+1. The equations of motion (`sims.pendulum_physics`) take puck and rod through the step.
+2. The engine moves the disc along the straight line to the same end, and bounces it where that
+   line meets a wall.
+3. Where the engine turned the disc's velocity round, there was a wall on that axis: puck and rod
+   take its elastic blow together, and the overshoot is mirrored.
+
+Setting a force on the disc and letting the engine integrate would be simpler, and wrong: its
+semi-implicit Euler step makes the energy of the unstable rod explode at 0.02 s.
+"""
+
+import numpy as np
+import pymunk
+
+# The engine's own calls: pymunk's properties check types and build a Vec2d at each access, which
+# doubles the cost of a time step (4 microseconds against 2).
+from pymunk._chipmunk_cffi import lib
+
+from sims.pendulum_physics import PLANT, Vector, advance, rebound
+
+_WALL_RADIUS = 1.0  # m. A thin wall is jumped over; this one stops a puck of up to 50 m/s.
+_OFFSET = PLANT.side / 2 + _WALL_RADIUS  # of the walls' axes from the centre, m
+_REACH = _OFFSET + _WALL_RADIUS  # of the walls' ends from their middle, m: corners are closed
+_WALLS = (
+    ((-_OFFSET, -_REACH), (-_OFFSET, _REACH)),
+    ((_OFFSET, -_REACH), (_OFFSET, _REACH)),
+    ((-_REACH, -_OFFSET), (_REACH, -_OFFSET)),
+    ((-_REACH, _OFFSET), (_REACH, _OFFSET)),
+)
+# m, more than any overlap: else the engine pushes discs out of walls over the following steps,
+# which a restored state would not know of.
+_NO_PUSHING_OUT = 10.0
+_TURNED = 1e-9  # m/s: a velocity that changed by more than this met a wall; less is rounding
+
+
+class Arena:
+    """Takes a puck and its pendulum through time steps in the walled square.
+
+    An arena remembers nothing: the state after a step is, bit for bit, a function of the state
+    before it and the thrust, whatever the arena was used for in between.
+    """
+
+    def __init__(self) -> None:
+        """Build the space: a disc that cannot turn, and four static walls, all elastic."""
+        self._space = pymunk.Space()
+        self._space.collision_slop = _NO_PUSHING_OUT
+        self._puck = pymunk.Body(PLANT.puck_mass, float("inf"))
+        disc = pymunk.Circle(self._puck, PLANT.puck_radius)
+        ground = self._space.static_body
+        walls = [pymunk.Segment(ground, start, end, _WALL_RADIUS) for start, end in _WALLS]
+        for shape in (disc, *walls):
+            shape.elasticity = 1.0
+            shape.friction = 0.0
+        self._space.add(self._puck, disc, *walls)
+        self._space_pointer = self._space._space  # noqa: SLF001
+        self._puck_pointer = self._puck._body  # noqa: SLF001
+
+    def slide(self, x: float, y: float, vx: float, vy: float) -> tuple[float, float, float, float]:
+        """Let the engine alone move the disc, without a rod, through one time step.
+
+        Takes its position in m and velocity in m/s and returns those at the end, in the same
+        order: the velocity turned round on an axis that met a wall, the overshoot not mirrored.
+        """
+        puck = self._puck_pointer
+        lib.cpBodySetPosition(puck, (x, y))
+        lib.cpBodySetVelocity(puck, (vx, vy))
+        lib.cpSpaceStep(self._space_pointer, PLANT.time_step)
+        p = lib.cpBodyGetPosition(puck)
+        v = lib.cpBodyGetVelocity(puck)
+        return p.x, p.y, v.x, v.y
+
+    def step(self, state: Vector, thrust: tuple[float, float]) -> Vector:
+        """Return the state one time step after `state` under `thrust`.
+
+        States are of shape (10,), as in `sims.pendulum_physics`; the one returned is a new
+        array. `thrust` is the force on the puck along x and y, in N.
+        """
+        end = np.empty(10)
+        x, y, vx, vy = advance(state, thrust[0], thrust[1], end)
+        end[0], end[1], after_x, after_y = self.slide(x, y, vx, vy)
+        if abs(after_x - vx) > _TURNED:
+            rebound(end, 0, 1.0 if after_x > vx else -1.0)
+        if abs(after_y - vy) > _TURNED:
+            rebound(end, 1, 1.0 if after_y > vy else -1.0)
+        return end

@@ -1,0 +1,161 @@
+"""Balance an inverted pendulum on a puck: the paper's motor learning task, in pymunk.
+
+Eight input values: position and velocity of the puck, angle and angular velocity of the rod, two
+each; for small tilts the horizontal part of the rod's unit vector is its angle in rad. Two output
+neurons set the sign of two 10 N thrusts. Reward -1 for the one step at which the bob reaches the
+ground, else 0; then the puck is put near the centre with the rod upright.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.task import Input, Measure, Output, Pose, Preset, Prop, Score, Tally, Task
+from sims.arena import Arena
+from sims.pendulum_physics import PLANT, fallen, restart
+
+Array = NDArray[np.float64]
+
+_SI = (1.0, 1.0, 1.0, 1.0)
+_DRAWN = 2.5
+"""Puck and rod are drawn so many times their size, so that the pole can be seen to sway."""
+_PUCK, _ROD, _BOB, _WALL = 2 * PLANT.puck_radius * _DRAWN, 0.045, 0.2, 0.06
+"""Diameters as drawn, and the walls, in m."""
+
+
+class Pendulum(Task):
+    """State: the ten numbers of `pendulum_physics`, then the last thrust in N, to be drawn."""
+
+    name = "pendulum"
+    summary = "balance a pole on a puck with two thrusters"
+    outputs = (
+        Output("thrust x", "+10 N along x", "−10 N along x"),
+        Output("thrust y", "+10 N along y", "−10 N along y"),
+    )
+    hidden = (4,)
+    dt = PLANT.time_step
+    weight_range = 0.05
+    measure = Measure("time to fall", "mean_time_to_fall_s", "s", span=(0.1, 1e4), logarithmic=True)
+    presets = {
+        "quick": Preset(
+            0.98, 1e-2,
+            "learns within seconds: γ 10⁴ times the paper's, β 0.98 for 0.995, "
+            "and inputs scaled by 1, 2, 10, 2",
+            {"gains": (1.0, 2.0, 10.0, 2.0)},
+        ),
+        "raw": Preset(
+            0.995, 1e-3,
+            "inputs in SI units; γ 1000 times the paper's, β the paper's",
+            {"gains": _SI},
+        ),
+        "paper": Preset(
+            0.995, 1e-6,
+            "the paper's β and γ; it does not state its input scale, here 10, 10, 100, 20",
+            {"gains": (10.0, 10.0, 100.0, 20.0)},
+        ),
+        "literal": Preset(
+            0.995, 1e-6,
+            "the paper's β and γ with inputs in SI units: learns only over 10⁷ s",
+            {"gains": _SI},
+        ),
+    }  # fmt: skip
+    props = (
+        Prop("floor", "box", "world"),
+        *(Prop(f"wall {k}", "box", "world strong") for k in range(4)),
+        Prop("puck", "cylinder", "accent", trail=True),
+        Prop("rod", "cylinder", "world strong"),
+        Prop("bob", "sphere", "accent"),
+        Prop("thrust x", "box", "positive"),
+        Prop("thrust y", "box", "positive"),
+    )
+
+    def __init__(self, preset: str | None = None) -> None:
+        super().__init__(preset)
+        self._gains = np.repeat(self.preset.options["gains"], 2)
+        kinds = (("position", "m"), ("velocity", "m/s"), ("angle", "rad"), ("rate", "rad/s"))
+        self.inputs = tuple(
+            Input(f"{name} {axis}", unit, float(self._gains[2 * k]))
+            for k, (name, unit) in enumerate(kinds)
+            for axis in "xy"
+        )
+        self._arena = Arena()
+
+    def restart(self, draws: Callable[[int], Array]) -> Array:
+        x, y = draws(2)
+        return np.array([*restart(x, y), 0.0, 0.0])
+
+    def transition(self, state: Array, action: Array, draws: Callable[[int], Array]) -> Array:
+        following = np.empty(12)
+        x, y = PLANT.thrust * action[0], PLANT.thrust * action[1]
+        following[:10] = self._arena.step(state, (x, y))
+        following[10], following[11] = x, y
+        return following
+
+    def observation(self, state: Array) -> Array:
+        seen: Array = state[_SEEN] * self._gains
+        return seen
+
+    def reward(self, state: Array) -> float:
+        return -1.0 if fallen(state) else 0.0
+
+    def ended(self, state: Array) -> bool:
+        return bool(fallen(state))
+
+    def score(self, tally: Tally) -> Score:
+        """Mean time to fall in s, the falling step counted; without a fall, a lower bound."""
+        seconds = tally.steps * PLANT.time_step
+        return Score(seconds / max(1.0, tally.ended), is_bound=tally.ended == 0)
+
+    def pose(self, state: Array) -> Pose:
+        return _pose(state)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Pendulum, (self.preset_name,)
+
+
+_SEEN = [0, 1, 2, 3, 4, 5, 7, 8]
+"""Position, velocity, horizontal part of the rod and of its rate, in the ten numbers."""
+
+
+def _pose(state: Array) -> Pose:
+    x, y, rod = state[0], state[1], state[4:7]
+    fx, fy = state[10:12] / PLANT.thrust
+    side, length = PLANT.side, PLANT.rod_length * _DRAWN
+    base = np.array([x, y, 0.12])
+    middle, edge = side / 2 + _WALL / 2, side + 2 * _WALL
+    arrow, reach, gap = 0.06, 0.5, _PUCK / 2 + 0.04
+    parts = (
+        # position, scale
+        ((0, 0, -0.03), (side, side, 0.04)),
+        ((-middle, 0, 0.03), (_WALL, edge, 0.12)),
+        ((middle, 0, 0.03), (_WALL, edge, 0.12)),
+        ((0, -middle, 0.03), (edge, _WALL, 0.12)),
+        ((0, middle, 0.03), (edge, _WALL, 0.12)),
+        ((x, y, 0.06), (_PUCK, _PUCK, 0.12)),
+        (tuple(base + rod * length / 2), (_ROD, _ROD, length)),
+        (tuple(base + rod * length), (_BOB, _BOB, _BOB)),
+        ((x + fx * (gap + reach / 2), y, 0.06), (abs(fx) * reach, arrow, arrow)),
+        ((x, y + fy * (gap + reach / 2), 0.06), (arrow, abs(fy) * reach, arrow)),
+    )
+    rotation = np.zeros((len(parts), 4))
+    rotation[:, 0] = 1.0
+    rotation[6] = _turn_up_to(rod)
+    tilt = np.degrees(np.arccos(np.clip(rod[2], -1, 1)))
+    return Pose(
+        np.array([p for p, _ in parts], dtype=np.float64),
+        rotation,
+        np.array([s for _, s in parts], dtype=np.float64),
+        words=f"tilt `{tilt:4.1f}°` · puck at `{x:+.2f}, {y:+.2f} m` · "
+        f"puck and rod drawn {_DRAWN:g} times their size",
+    )
+
+
+def _turn_up_to(direction: Array) -> Array:
+    """The quaternion (w, x, y, z) that turns the z axis to a unit vector above the ground."""
+    half = np.array([1.0 + direction[2], -direction[1], direction[0], 0.0])
+    length = np.linalg.norm(half)
+    return half / length if length > 1e-9 else np.array([0.0, 1.0, 0.0, 0.0])

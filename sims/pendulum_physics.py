@@ -1,0 +1,215 @@
+"""The puck and the inverted pendulum: the equations of motion, compiled.
+
+The plant is the one of Bartlett and Baxter (1999), "Controlling an inverted pendulum": a puck
+slides on a level square, and a weightless rod with a weight, the bob, at its tip stands on it on
+a frictionless ball joint. The paper gives the constants and no equations; these are Newton's.
+
+With p, v the puck's position and velocity, n the unit vector from puck to bob, w = dn/dt,
+h = (n_x, n_y), F the thrust and u = v / sqrt(|v|^2 + smoothing) the direction of sliding::
+
+    T = m [F.h/M - mu g u.h + g n_z - l |w|^2] / [1 + m |h|^2/M + mu m n_z (u.h)/M]
+    N = M g + T n_z
+    dv/dt = (F - mu N u - T h) / M
+    dw/dt = T n/(m l) - (dv/dt, 0)/l - g z/l
+
+T is the push of the rod along n, N the force between puck and ground. Where N < 0 the rod would
+lift the puck: it is held to the plane, without friction.
+
+A state is ten numbers, in this order, as a float64 array of shape (10,) or as a tuple of ten:
+
+    ======  ====  =======  ====================================
+    0, 1    p     m        position of the puck from the centre
+    2, 3    v     m/s      its velocity
+    4-6     n     1        unit vector of the rod, z is up
+    7-9     w     1/s      rate of change of n, across n
+    ======  ====  =======  ====================================
+
+Only + - * / and sqrt are used, each correctly rounded, and fast-math is off.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Vector: TypeAlias = NDArray[np.float64]
+Ten: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float]
+State: TypeAlias = Vector | Ten
+
+
+@dataclass(frozen=True)
+class Plant:
+    """The physical constants. "Paper" is Bartlett and Baxter (1999)."""
+
+    puck_mass: float = 1.0  # M, kg, paper
+    bob_mass: float = 0.1  # m, kg, paper
+    rod_length: float = 0.5  # l, m, paper
+    gravity: float = 9.8  # g, m/s^2, paper
+    friction: float = 5e-4  # mu, puck on ground, no unit, paper
+    friction_smoothing: float = 1e-8  # m^2/s^2, ours: sliding friction fades below 1e-4 m/s
+    thrust: float = 10.0  # N, on each axis, of either sign, paper
+    time_step: float = 0.02  # s, paper
+    side: float = 5.0  # of the square, m, paper
+    puck_radius: float = 0.05  # m, paper
+    restart_spread: float = 0.5  # m, on each axis, ours: the paper says "near the centre"
+
+
+PLANT = Plant()
+
+# Compiled code takes plain numbers in as constants.
+_M = PLANT.puck_mass
+_m = PLANT.bob_mass
+_l = PLANT.rod_length
+_g = PLANT.gravity
+_mu = PLANT.friction
+_smoothing = PLANT.friction_smoothing
+_dt = PLANT.time_step
+_spread = PLANT.restart_spread
+_limit = PLANT.side / 2 - PLANT.puck_radius  # farthest the puck's centre gets on an axis, m
+
+_jit = njit(cache=True, nogil=True, error_model="numpy")
+
+
+@_jit
+def restart(ux: float, uy: float) -> Ten:
+    """Return the state after a fall: rod upright, all at rest, puck near the centre.
+
+    `ux`, `uy` are uniform in [0, 1) and place the puck.
+    """
+    x, y = (2.0 * ux - 1.0) * _spread, (2.0 * uy - 1.0) * _spread
+    return x, y, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0
+
+
+@_jit
+def derivative(s: State, fx: float, fy: float, mu: float) -> Ten:
+    """Return the time derivative of the state `s` under the thrust (fx, fy) in N.
+
+    `mu` is the coefficient of friction, an argument so that it can be taken away.
+    """
+    vx, vy, nx, ny, nz, wx, wy, wz = s[2], s[3], s[4], s[5], s[6], s[7], s[8], s[9]
+    speed = math.sqrt(vx * vx + vy * vy + _smoothing)
+    slide = (vx * nx + vy * ny) / speed  # u.h
+    drive = (fx * nx + fy * ny) / _M + _g * nz - _l * (wx * wx + wy * wy + wz * wz)
+    inertia = 1.0 + _m * (nx * nx + ny * ny) / _M
+    rod = _m * (drive - mu * _g * slide) / (inertia + mu * _m * nz * slide / _M)  # T
+    ground = _M * _g + rod * nz  # N
+    if ground < 0.0:
+        rod, ground = _m * drive / inertia, 0.0
+    drag = mu * ground / speed
+    ax = (fx - drag * vx - rod * nx) / _M
+    ay = (fy - drag * vy - rod * ny) / _M
+    pull = rod / _m
+    bx, by, bz = (pull * nx - ax) / _l, (pull * ny - ay) / _l, (pull * nz - _g) / _l
+    return vx, vy, ax, ay, wx, wy, wz, bx, by, bz
+
+
+@_jit
+def _along(s: State, k: Ten, h: float) -> Ten:
+    """Return s + h k."""
+    return (
+        s[0] + h * k[0],
+        s[1] + h * k[1],
+        s[2] + h * k[2],
+        s[3] + h * k[3],
+        s[4] + h * k[4],
+        s[5] + h * k[5],
+        s[6] + h * k[6],
+        s[7] + h * k[7],
+        s[8] + h * k[8],
+        s[9] + h * k[9],
+    )
+
+
+@_jit
+def _on_sphere(s: State) -> Ten:
+    """Return `s` with n of length one and w across it, which rounding and truncation disturb."""
+    nx, ny, nz, wx, wy, wz = s[4], s[5], s[6], s[7], s[8], s[9]
+    length = math.sqrt(nx * nx + ny * ny + nz * nz)
+    nx, ny, nz = nx / length, ny / length, nz / length
+    radial = wx * nx + wy * ny + wz * nz
+    wx, wy, wz = wx - radial * nx, wy - radial * ny, wz - radial * nz
+    return s[0], s[1], s[2], s[3], nx, ny, nz, wx, wy, wz
+
+
+@_jit
+def rk4(s: State, fx: float, fy: float, mu: float, dt: float) -> Ten:
+    """Return the state `dt` seconds after `s`, there being no walls.
+
+    One classical Runge-Kutta step under the constant thrust (fx, fy) in N; `mu` as in
+    `derivative`.
+    """
+    k1 = derivative(s, fx, fy, mu)
+    k2 = derivative(_along(s, k1, dt / 2), fx, fy, mu)
+    k3 = derivative(_along(s, k2, dt / 2), fx, fy, mu)
+    k4 = derivative(_along(s, k3, dt), fx, fy, mu)
+    end = _along(_along(_along(_along(s, k1, dt / 6), k2, dt / 3), k3, dt / 3), k4, dt / 6)
+    return _on_sphere(end)
+
+
+@_jit
+def advance(state: Vector, fx: float, fy: float, out: Vector) -> tuple[float, float, float, float]:
+    """Write to `out` the state one time step after `state`, there being no walls.
+
+    Both are of shape (10,) and may be the same array; the thrust (fx, fy) is in N. Returns
+    (x, y, mean_vx, mean_vy): where the puck was, in m, and the velocity, in m/s, that takes it
+    along a straight line to where it is. That is what a collision engine has to be given.
+    """
+    x, y = state[0], state[1]
+    end = rk4(state, fx, fy, _mu, _dt)
+    for i in range(10):
+        out[i] = end[i]
+    return x, y, (end[0] - x) / _dt, (end[1] - y) / _dt
+
+
+@_jit
+def bounce(s: State, ex: float, ey: float) -> Ten:
+    """Return the state just after the puck meets a wall of inward unit normal e = (ex, ey).
+
+    An elastic blow along e on puck and rod together; the rod passes on its part at once::
+
+        A e = e - m (e.h) h / (M + m |h|^2)
+        dv = -2 (v.e) A e / (e.A e),   dw = [(dv.h) n - (dv, 0)] / l
+
+    A puck that is leaving the wall already is left alone.
+    """
+    vx, vy, nx, ny, nz = s[2], s[3], s[4], s[5], s[6]
+    share = _m * (ex * nx + ey * ny) / (_M + _m * (nx * nx + ny * ny))
+    ax, ay = ex - share * nx, ey - share * ny
+    blow = -2.0 * min(vx * ex + vy * ey, 0.0) / (ex * ax + ey * ay)
+    dx, dy = blow * ax, blow * ay
+    along = dx * nx + dy * ny
+    wx = s[7] + (along * nx - dx) / _l
+    wy = s[8] + (along * ny - dy) / _l
+    wz = s[9] + along * nz / _l
+    return s[0], s[1], vx + dx, vy + dy, nx, ny, nz, wx, wy, wz
+
+
+@_jit
+def rebound(state: Vector, axis: int, inward: float) -> None:
+    """Bounce `state`, shape (10,), off a wall of the square, in place.
+
+    `axis` is 0 (x) or 1 (y) and `inward`, 1.0 or -1.0, the direction of the wall's normal on
+    it. The stretch the puck went too far is mirrored at the wall.
+    """
+    state[axis] = -2.0 * inward * _limit - state[axis]
+    end = bounce(state, inward * (1 - axis), inward * axis)
+    for i in range(2, 10):
+        state[i] = end[i]
+
+
+@_jit
+def fallen(s: State) -> bool:
+    """Return whether the bob has come down to the height of the puck, which is 0."""
+    return s[6] <= 0.0
+
+
+@_jit
+def energy(s: State) -> float:
+    """Return the kinetic energy and that of the bob's height above the ground, in J."""
+    vx, vy = s[2], s[3]
+    bx, by, bz = vx + _l * s[7], vy + _l * s[8], _l * s[9]
+    moving = _M * (vx * vx + vy * vy) + _m * (bx * bx + by * by + bz * bz)
+    return 0.5 * moving + _m * _g * _l * s[6]

@@ -1,0 +1,185 @@
+"""Tell mines from rocks by their sonar echoes: the paper's pattern classification task.
+
+208 patterns of 60 energies in [0, 1] (Gorman and Sejnowski 1988; origin and licence beside the
+data). Each pattern of the training set is shown for 1 000 steps, in an order shuffled each epoch.
+The output neuron's activity at each step is the prediction, +1 for a mine; reward 1 if it is
+right, else 0. Training and test error are those of a frozen copy, in one pass over all patterns
+with every step counted, as in the paper; what comes first after a change of the pattern is still
+the answer to the one before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+from numba import cfunc, njit
+from numpy.typing import NDArray
+
+from hebbviz.chance import WORLD, Draws, four_uniforms
+from hebbviz.engine import WORLD as WORLD_SIGNATURE
+from hebbviz.learner import Learner
+from hebbviz.task import CompiledTask, Input, Measure, Output, Pose, Preset, Score, Tally
+
+Array = NDArray[np.float64]
+
+PATTERNS, ENERGIES = 208, 60
+TRAINING = 187
+"""Patterns in the training set: 90 % of 208, rounded."""
+HOLD = 1000
+"""Steps for which a pattern is shown."""
+
+MINE, ROCK = 1.0, -1.0
+
+_TICK, _INDEX, _EPOCH, _PATTERN, _PREDICTION, _RIGHT, _LENGTH, _SHUFFLES, _ORDER = range(9)
+
+
+@cache
+def load() -> Array:
+    """The data, (208, 61): the energies, then +1 for a mine or -1 for a rock."""
+    rows = files("sims").joinpath("data/sonar.csv").read_text().split()
+    split = [row.rsplit(",", 1) for row in rows]
+    energies = np.array([[float(x) for x in e.split(",")] for e, _ in split])
+    labels = np.array([[MINE if label == "M" else ROCK] for _, label in split])
+    data = np.hstack([energies, labels])
+    data.flags.writeable = False
+    return data
+
+
+@njit(cache=True, error_model="numpy")
+def _shuffle(world, lane, seed, number, step):  # type: ignore[no-untyped-def]
+    """Fisher-Yates over the training patterns, with the world's draws of this step."""
+    for place in range(np.int64(world[_LENGTH, lane]) - 1, 0, -1):
+        draw = four_uniforms(seed, number, WORLD, step, place)[0]
+        other = np.int64(draw * (place + 1))
+        kept = world[_ORDER + place, lane]
+        world[_ORDER + place, lane] = world[_ORDER + other, lane]
+        world[_ORDER + other, lane] = kept
+
+
+@njit(cache=True, error_model="numpy")
+def _transition(world, lane, data, action, seed, number, step):  # type: ignore[no-untyped-def]
+    """Judge the prediction; after HOLD steps go to the next pattern, shuffling each epoch."""
+    shown = np.int64(world[_PATTERN, lane])
+    world[_PREDICTION, lane] = action
+    world[_RIGHT, lane] = 1.0 if action == data[shown, ENERGIES] else 0.0
+    world[_TICK, lane] += 1.0
+    if world[_TICK, lane] < HOLD:
+        return False
+    world[_TICK, lane] = 0.0
+    world[_INDEX, lane] += 1.0
+    if world[_INDEX, lane] == world[_LENGTH, lane]:
+        world[_INDEX, lane] = 0.0
+        world[_EPOCH, lane] += 1.0
+        if world[_SHUFFLES, lane] == 1.0:
+            _shuffle(world, lane, seed, number, step)
+    world[_PATTERN, lane] = world[_ORDER + np.int64(world[_INDEX, lane]), lane]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _observation(world, lane, data, observation):  # type: ignore[no-untyped-def]
+    pattern = np.int64(world[_PATTERN, lane])
+    for j in range(ENERGIES):
+        observation[j, lane] = data[pattern, j]
+
+
+@cfunc(WORLD_SIGNATURE, cache=True)
+def answer(world, action, data, keys, step, observation, reward, ended):  # type: ignore[no-untyped-def]
+    """The world's step for all lanes, see `engine.WORLD`."""
+    changed = 0
+    for lane in range(world.shape[1]):
+        new = _transition(world, lane, data, action[0, lane], keys[0, lane], keys[1, lane], step)
+        reward[lane] = world[_RIGHT, lane]
+        ended[lane] = 0.0
+        if new:
+            changed = 1
+            _observation(world, lane, data, observation)
+    return changed
+
+
+class Sonar(CompiledTask):
+    """State: steps this pattern was shown, place in the epoch, epoch, pattern, prediction (±1),
+    whether it was right, patterns in an epoch, whether epochs are shuffled, then all patterns,
+    the training set first, in the order of this epoch.
+    """
+
+    name = "sonar"
+    summary = "tell mines from rocks by 60 energies of a sonar echo"
+    outputs = (Output("class", "mine", "rock"),)
+    inputs = tuple(Input(f"band {k + 1}") for k in range(ENERGIES))
+    hidden = (8,)
+    weight_range = 0.1
+    measure = Measure("error while learning", "error", "%", span=(0.0, 60.0))
+    frozen_figures = ("training_error", "test_error")
+    presets = {
+        "quick": Preset(0.5, 1e-3, "γ ten times the paper's, all else as in the paper"),
+        "paper": Preset(0.5, 1e-4, "the paper's β and γ: allow it 2 000 epochs"),
+    }
+    answer = answer
+
+    def data(self) -> Array:
+        return load()
+
+    def restart(self, draws: Callable[[int], Array]) -> Array:
+        """A random split into training and test set, and the first order of the former."""
+        return _world(np.argsort(draws(PATTERNS)).astype(np.float64), TRAINING, shuffles=True)
+
+    def transition(self, state: Array, action: Array, draws: Callable[[int], Array]) -> Array:
+        assert isinstance(draws, Draws)
+        world = state.reshape(-1, 1)
+        seed, lane = np.uint32(draws.seed), np.uint32(draws.lane)
+        _transition(world, 0, load(), action[0], seed, lane, np.int64(draws.step))
+        return world[:, 0]
+
+    def observation(self, state: Array) -> Array:
+        return load()[int(state[_PATTERN]), :ENERGIES].copy()
+
+    def reward(self, state: Array) -> float:
+        return float(state[_RIGHT])
+
+    def score(self, tally: Tally) -> Score:
+        """Errors in %, counted over every step."""
+        return Score(100.0 * (1.0 - tally.average_reward))
+
+    def evaluate(self, learner: Learner) -> dict[str, float]:
+        """Training and test error, as fractions, of a frozen copy in one pass over each set."""
+        copy = learner.frozen_copy()
+        order = learner.world[_ORDER:]
+        copy.place(np.stack([_world(o, PATTERNS, shuffles=False) for o in order.T], axis=1))
+        start = copy.tally()
+        copy.advance(TRAINING * HOLD)
+        between = copy.tally()
+        copy.advance((PATTERNS - TRAINING) * HOLD)
+        return {
+            "training_error": 1.0 - (between - start).average_reward,
+            "test_error": 1.0 - (copy.tally() - between).average_reward,
+        }
+
+    def results(self, learner: Learner, late: Tally) -> dict[str, float]:
+        return self.evaluate(learner)
+
+    def pose(self, state: Array) -> Pose:
+        nothing = super().pose(state)
+        return Pose(nothing.position, nothing.rotation, nothing.scale, words=_words(state))
+
+
+def _world(order: Array, length: int, *, shuffles: bool) -> Array:
+    state = np.zeros(_ORDER + PATTERNS)
+    state[_PATTERN], state[_PREDICTION] = order[0], ROCK
+    state[_LENGTH], state[_SHUFFLES] = length, float(shuffles)
+    state[_ORDER:] = order
+    return state
+
+
+def _words(state: Array) -> str:
+    names = {MINE: "mine", ROCK: "rock"}
+    pattern = int(state[_PATTERN])
+    truth, said = names[load()[pattern, ENERGIES]], names[float(state[_PREDICTION])]
+    verdict = "right" if truth == said else "wrong"
+    return (
+        f"epoch {int(state[_EPOCH]) + 1}, pattern {pattern + 1}: a {truth} — "
+        f"the network says {said}, {verdict}"
+    )

@@ -1,0 +1,288 @@
+"""What any task must keep to. In a test of your own task:
+
+from conformance import check_task
+from mine import MyTask
+
+def test_my_task():
+    check_task(MyTask)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.chance import FIRST_EPISODE, NEXT_EPISODE, Draws
+from hebbviz.learner import Learner
+from hebbviz.task import CompiledTask, Input, Output, Pose, Preset, Task
+
+Array = NDArray[np.float64]
+MakeTask = Callable[[], Task]
+
+STEPS = 1200
+"""Longer than a sonar pattern is shown, and than some twenty falls of the pendulum."""
+
+
+def check_task(make_task: MakeTask) -> None:
+    """Raise AssertionError unless the task keeps to the contract of `hebbviz.task.Task`."""
+    for check in CHECKS:
+        check(make_task)
+
+
+class Walk:
+    """A task under random actions: its states, and each transition's state, action and step."""
+
+    def __init__(self, task: Task, *, steps: int = STEPS, seed: int = 7) -> None:
+        coins = np.random.default_rng(seed)
+        state = task.restart(Draws(seed, 0, 0, FIRST_EPISODE))
+        self.seed, self.moves, self.ends = seed, [], []
+        self.states = [state]
+        for step in range(steps):
+            action = coins.choice(task.activity, len(task.outputs))
+            self.moves.append((state, action, step))
+            state = task.transition(state.copy(), action.copy(), self.draws(step))
+            self.states.append(state)
+            self.ends.append(task.ended(state))
+            if self.ends[-1]:
+                state = task.restart(self.draws(step, NEXT_EPISODE))
+                self.states.append(state)
+
+    def draws(self, step: int, purpose: int | None = None) -> Draws:
+        return Draws(self.seed, 0, step) if purpose is None else Draws(self.seed, 0, step, purpose)
+
+
+def check_attributes(make_task: MakeTask) -> None:
+    task = make_task()
+    assert isinstance(task.name, str)
+    assert task.name
+    assert isinstance(task.summary, str)
+    assert all(isinstance(i, Input) and i.name for i in task.inputs)
+    assert task.outputs
+    assert all(isinstance(o, Output) and o.name and o.fires and o.silent for o in task.outputs)
+    for names in ([i.name for i in task.inputs], [o.name for o in task.outputs]):
+        assert len(set(names)) == len(names), "names of inputs and of outputs must differ"
+    assert task.dt is None or task.dt > 0
+    assert task.weight_range >= 0
+    assert task.measure.name
+    assert task.measure.key.isidentifier()
+    topology = task.topology()
+    assert topology.inputs == len(task.inputs)
+    assert topology.group(topology.output).size == len(task.outputs)
+    weights = task.initial_weights(np.full(topology.synapses, 0.25))
+    assert weights.shape == (topology.synapses,)
+    assert np.isfinite(weights).all()
+
+
+def check_presets(make_task: MakeTask) -> None:
+    task = make_task()
+    assert task.presets
+    assert task.preset_name in task.presets
+    for name, preset in task.presets.items():
+        assert isinstance(preset, Preset)
+        assert preset.note
+        made = type(task)(name)
+        assert made.preset is preset
+        learner = Learner(made)
+        assert (learner.beta, learner.gamma) == (preset.beta, preset.gamma)
+        learner.advance(3)
+
+
+def check_shapes(make_task: MakeTask) -> None:
+    """States, observations, rewards, ends, clamps: of one shape and finite all the way."""
+    task = make_task()
+    walk, neurons = Walk(task), task.topology().neurons
+    for state in walk.states:
+        assert state.dtype == np.float64, "a state is float64"
+        assert state.shape == walk.states[0].shape, "a state keeps its shape"
+        assert state.ndim == 1, "a state has one axis"
+        seen = np.asarray(task.observation(state))
+        assert seen.shape == (len(task.inputs),), "an observation has a number for each input"
+        assert np.isfinite(seen).all()
+        assert np.isfinite(float(task.reward(state)))
+        assert task.ended(state) in (True, False)
+        clamps = task.clamps(state)
+        if clamps is not None:
+            assert clamps.shape == (neurons,), "clamps has a number for each neuron"
+            assert all(c in (0.0, 1.0) or np.isnan(c) for c in clamps)
+
+
+def check_purity(make_task: MakeTask) -> None:
+    """The same answer whatever came in between, of this instance or of another."""
+    task, other = make_task(), make_task()
+    walk = Walk(task, steps=200)
+    assert _same(walk.states, Walk(other, steps=200).states), "two instances differ"
+    Walk(task, steps=50, seed=8)
+    for state, action, step in reversed(walk.moves):
+        first = task.transition(state.copy(), action.copy(), walk.draws(step))
+        again = task.transition(state.copy(), action.copy(), walk.draws(step))
+        fresh = other.transition(state.copy(), action.copy(), walk.draws(step))
+        assert _same(first, again), "transition is not a function of state, action and draws"
+        assert _same(first, fresh), "transition depends on what else the task was used for"
+    assert _same(walk.states, Walk(task, steps=200).states), "a walk is not the same again"
+
+
+def check_nothing_is_modified(make_task: MakeTask) -> None:
+    """Functions of the state leave it alone, and what they return is not changed later."""
+    task = make_task()
+    for state in Walk(task, steps=200).states:
+        before = state.copy()
+        for function in (task.observation, task.reward, task.ended, task.clamps, task.pose):
+            function(state)
+            assert _same(state, before), f"{function.__name__} changes the state"
+        kept = np.array(task.observation(state))
+        task.observation(state)
+        assert _same(kept, np.asarray(task.observation(state))), "observation is not repeatable"
+
+
+def check_draws(make_task: MakeTask) -> None:
+    """A restart follows from its draws alone."""
+    task = make_task()
+    first = task.restart(Draws(1, 0, 0, FIRST_EPISODE))
+    Walk(task, steps=50)
+    assert _same(first, task.restart(Draws(1, 0, 0, FIRST_EPISODE)))
+    assert _same(first, make_task().restart(Draws(1, 0, 0, FIRST_EPISODE)))
+
+
+def check_pose(make_task: MakeTask) -> None:
+    task = make_task()
+    count = len(task.props)
+    for state in Walk(task, steps=200).states:
+        pose = task.pose(state)
+        assert isinstance(pose, Pose)
+        assert pose.position.shape == (count, 3)
+        assert pose.rotation.shape == (count, 4)
+        assert pose.scale.shape == (count, 3)
+        assert all(np.isfinite(a).all() for a in (pose.position, pose.rotation, pose.scale))
+        assert np.allclose(np.linalg.norm(pose.rotation, axis=1), 1.0), "rotations are of unit size"
+        assert (pose.scale >= 0.0).all()
+        assert "\n" not in pose.words
+    assert len({p.name for p in task.props}) == count
+    assert {p.shape for p in task.props} <= {"box", "sphere", "cylinder"}
+
+
+def check_controls(make_task: MakeTask) -> None:
+    task = make_task()
+    names = [c.name for c in task.controls]
+    assert len(set(names)) == len(names)
+    keys = [c.key for c in task.controls if c.key]
+    assert len(set(keys)) == len(keys)
+    for state in Walk(task, steps=20).states:
+        for name in names:
+            before = state.copy()
+            after = task.press(state.copy(), name)
+            assert after.shape == before.shape
+            assert _same(after, task.press(before.copy(), name)), f"{name} is not repeatable"
+    learner = Learner(make_task(), lanes=2)
+    for name in names:
+        learner.press(name)
+        learner.advance(5)
+
+
+def check_runs_repeat(make_task: MakeTask) -> None:
+    """One run whatever the cuts, and what is kept of a moment makes the rest of it again."""
+    whole, cut = Learner(make_task(), seed=3), Learner(make_task(), seed=3)
+    whole.advance(STEPS)
+    for steps in (1, 0, 7, STEPS // 2, 100):
+        cut.advance(steps)
+        cut.frame()
+    moment = cut.keyframe()
+    cut.advance(STEPS - cut.step)
+    assert same_learner(whole, cut), "a run depends on how it was cut"
+    other = Learner(make_task(), seed=4)
+    other.advance(20)
+    other.restore(moment)
+    other.seed, other._keys = whole.seed, whole._keys
+    other.advance(STEPS - other.step)
+    assert same_learner(whole, other), "a run goes on differently from a keyframe"
+
+
+def check_lanes(make_task: MakeTask) -> None:
+    """A lane is the same run whatever is beside it."""
+    together = Learner(make_task(), seed=3, lanes=3)
+    together.advance(STEPS)
+    for lane in range(3):
+        alone = Learner(make_task(), seed=3, first_lane=lane)
+        alone.advance(STEPS)
+        assert np.array_equal(alone.network[:, 0], together.network[:, lane], equal_nan=True)
+        assert np.array_equal(alone.world[:, 0], together.world[:, lane], equal_nan=True)
+
+
+def check_measures(make_task: MakeTask) -> None:
+    task = make_task()
+    learner = Learner(task)
+    start = learner.tally()
+    assert np.isfinite(task.score(start - start).value), "no steps have a score too"
+    learner.advance(STEPS)
+    assert np.isfinite(task.score(learner.tally() - start).value)
+    before = learner.keyframe()
+    figures = task.evaluate(learner)
+    assert figures
+    assert all(isinstance(k, str) and np.isfinite(v) for k, v in figures.items())
+    after = learner.keyframe()
+    assert _same([before.network, before.world], [after.network, after.world])
+    assert learner.step == before.step
+    results = task.results(learner, learner.tally())
+    assert results
+    assert all(isinstance(k, str) and np.isfinite(v) for k, v in results.items())
+
+
+def check_compiled(make_task: MakeTask) -> None:
+    """A compiled answer is, to the bit, what the methods say."""
+    if not isinstance(make_task(), CompiledTask):
+        return
+    steps = 3 * STEPS
+    compiled, plain = (
+        Learner(task, seed=5, lanes=3) for task in (make_task(), Interpreted(make_task()))
+    )
+    blocks = [learner.advance(steps) for learner in (compiled, plain)]
+    assert same_learner(compiled, plain)
+    assert np.array_equal(blocks[0].fired, blocks[1].fired)
+    assert np.array_equal(blocks[0].reward, blocks[1].reward)
+    assert np.array_equal(blocks[0].ended, blocks[1].ended)
+
+
+class Interpreted(Task):
+    """A compiled task with its methods alone."""
+
+    def __init__(self, task: CompiledTask) -> None:
+        for name in ("name", "outputs", "inputs", "presets", "activity"):
+            setattr(self, name, getattr(task, name))
+        super().__init__(task.preset_name)
+        for name in ("restart", "transition", "observation", "reward", "ended", "topology",
+                     "initial_weights"):  # fmt: skip
+            setattr(self, name, getattr(task, name))
+
+
+CHECKS: tuple[Callable[[MakeTask], None], ...] = (
+    check_attributes,
+    check_presets,
+    check_shapes,
+    check_purity,
+    check_nothing_is_modified,
+    check_draws,
+    check_pose,
+    check_controls,
+    check_runs_repeat,
+    check_lanes,
+    check_measures,
+    check_compiled,
+)
+
+
+def same_learner(a: Learner, b: Learner) -> bool:
+    """Whether two learners are at the same moment, to the bit."""
+    return (
+        a.step == b.step
+        and a.frozen == b.frozen
+        and np.array_equal(a.network, b.network, equal_nan=True)
+        and np.array_equal(a.world, b.world, equal_nan=True)
+        and all(a.tally(k) == b.tally(k) for k in range(a.lanes))
+    )
+
+
+def _same(a: object, b: object) -> bool:
+    if isinstance(a, list) and isinstance(b, list):
+        return len(a) == len(b) and all(map(_same, a, b))
+    return np.array_equal(np.asarray(a), np.asarray(b), equal_nan=True)

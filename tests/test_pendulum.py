@@ -1,0 +1,123 @@
+"""The pendulum as a task: what is seen of it, what is paid, and that it is learnt."""
+
+import re
+
+import numpy as np
+import pytest
+
+from hebbviz.chance import Draws
+from hebbviz.learner import Learner
+from hebbviz.task import Tally
+from sims.pendulum import Pendulum
+from sims.pendulum_physics import PLANT, fallen
+
+RANDOM = 0.61
+"""Seconds that fair coins keep it up."""
+
+
+def test_quick_is_learnt():
+    """In 6 000 s of its own time, the mean time to fall gets to 2 to 30 s in six seeds."""
+    learner = Learner(Pendulum("quick"), seed=0)
+    first = learner.tally()
+    learner.skip(2_000)
+    beginner = learner.task.score(learner.tally() - first).value
+    learner.skip(238_000)
+    late = learner.tally()
+    learner.skip(60_000)
+    assert beginner < 3 * RANDOM
+    assert learner.task.score(learner.tally() - late).value > 4 * RANDOM
+
+
+def test_without_learning_it_falls_as_under_fair_coins():
+    learner = Learner(Pendulum("raw"), gamma=0.0)
+    learner.skip(20_000)
+    assert learner.task.score(learner.tally()).value == pytest.approx(RANDOM, rel=0.15)
+
+
+def test_reward_is_minus_one_at_falls_and_zero_else():
+    learner = Learner(Pendulum(), gamma=0.0)
+    block = learner.advance(3000)
+    assert 30 < block.ended.sum() < 300
+    assert np.array_equal(block.reward, np.where(block.ended, -1.0, 0.0))
+    assert np.array_equal(block.broadcast, block.reward)
+    assert learner.tally().ended == block.ended.sum() == -learner.tally().reward
+
+
+def test_after_a_fall_it_stands_near_the_centre():
+    learner = Learner(Pendulum(), gamma=0.0)
+    places = []
+    for _ in range(1000):
+        up = learner.world[6, 0]
+        if learner.advance(1).ended[0]:
+            assert up > 0
+            assert learner.world[2:, 0].tolist() == [0, 0, 0, 0, 1, 0, 0, 0, 0, 0]
+            places.append(learner.world[:2, 0])
+        assert not fallen(learner.world[:, 0])
+    assert len(places) > 10
+    assert np.all(np.abs(places) < PLANT.restart_spread)
+    assert len({tuple(p) for p in places}) == len(places)
+
+
+def test_thrusts_follow_the_outputs():
+    task = Pendulum()
+    for action in ((-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)):
+        state = task.restart(Draws(0, 0, 0))
+        after = task.transition(state, np.array(action), Draws(0, 0, 1))
+        assert after[10:].tolist() == [10.0 * a for a in action]
+        assert np.array_equal(np.sign(after[2:4] - state[2:4]), action)
+
+
+@pytest.mark.parametrize(
+    ("preset", "gains"),
+    [("quick", (1, 2, 10, 2)), ("raw", (1, 1, 1, 1)), ("paper", (10, 10, 100, 20)),
+     ("literal", (1, 1, 1, 1))],
+)  # fmt: skip
+def test_what_is_seen_is_the_state_times_the_gains(preset, gains):
+    task = Pendulum(preset)
+    state = np.arange(1.0, 13.0)
+    seen = np.array([1.0, 2, 3, 4, 5, 6, 8, 9]) * np.repeat(gains, 2)
+    assert np.array_equal(task.observation(state), seen)
+    assert [i.gain for i in task.inputs] == np.repeat(gains, 2).tolist()
+    assert [i.unit for i in task.inputs] == ["m", "m", "m/s", "m/s", "rad", "rad", "rad/s", "rad/s"]
+
+
+def test_the_papers_parameters_are_there():
+    assert Pendulum().preset_name == "quick"
+    for preset in ("paper", "literal"):
+        task = Pendulum(preset)
+        assert (task.preset.beta, task.preset.gamma) == (0.995, 1e-6)
+        topology = task.topology()
+        assert topology.describe() == "8-4-2"
+        assert topology.activity == (-1.0, 1.0)
+        weights = Learner(task).weights
+        assert 0.03 < np.abs(weights).max() <= 0.05
+
+
+def test_the_score_is_the_mean_time_to_fall():
+    task = Pendulum()
+    score = task.score(Tally(100, -4.0, -4.0, 4.0))
+    assert (score.value, score.is_bound) == (pytest.approx(0.5), False)
+    score = task.score(Tally(100, 0.0, 0.0, 0.0))
+    assert (score.value, score.is_bound) == (pytest.approx(2.0), True)
+
+
+def test_the_scene_is_the_state():
+    task = Pendulum()
+    names = [p.name for p in task.props]
+    learner = Learner(task)
+    for _ in range(200):
+        learner.advance(1)
+        state = learner.world[:, 0]
+        pose = task.pose(state)
+        where = dict(zip(names, pose.position, strict=True))
+        assert np.array_equal(where["puck"][:2], state[:2])
+        length = pose.scale[names.index("rod"), 2]  # it may be drawn larger than it is
+        foot = where["bob"] - length * state[4:7]
+        assert np.allclose(foot[:2], state[:2])
+        assert np.allclose(where["rod"], foot + length / 2 * state[4:7])
+        w, x, y, z = pose.rotation[names.index("rod")]
+        up = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
+        assert np.allclose(up, state[4:7])
+        tilt = re.search(r"([0-9.]+)°", pose.words)
+        assert tilt
+        assert float(tilt[1]) == pytest.approx(np.degrees(np.arccos(state[6])), abs=0.06)
