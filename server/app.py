@@ -1,0 +1,190 @@
+"""The live program: one learner, one worker thread, one page for any number of tabs."""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import os
+import socket
+import sys
+import threading
+import webbrowser
+from typing import TYPE_CHECKING
+
+from hebbviz.learner import TaskError
+from server import guard
+from server.commands import REALTIME, SetSpeed, check_speed
+from server.interrupts import Interrupts
+from server.page import Page
+from server.run import Run
+from server.train import announced_compiling, warm_up
+from server.worker import Worker
+from sims import TASKS
+from sims.loading import make_task
+
+if TYPE_CHECKING:
+    from hebbviz.learner import Learner
+    from hebbviz.task import Task
+    from server.commands import Speed
+    from server.run import MakeTask
+
+DEFAULT_PORT = 8080
+SHUTDOWN_SECONDS = 1.0
+"""How long the worker may take to end its last stretch of steps."""
+COMPILING = "compiling for this machine: about 15 s, only this first time"
+
+
+def serve(
+    learner: Learner,
+    *,
+    host: str = "127.0.0.1",
+    port: int | None = None,
+    speed: Speed | None = None,
+    open_browser: bool = False,
+    task_name: str | None = None,
+    stop: threading.Event | None = None,
+) -> None:
+    """Show `learner` on a page and let it run, until Ctrl-C, SIGTERM or `stop`.
+
+    It listens at `host` and `port`; with no port, at the default one or the next free one above
+    it. `speed` is in steps per second, or 'realtime' or 'max'; by default what suits the task.
+    `task_name` is what the user calls the task, where that is not its own name. `stop` is an
+    event that ends it, for programs that run this in a thread.
+
+    Raises ValueError if one of these is out of range or the task has no dt to run at 'realtime',
+    OSError if the address cannot be listened on, and TaskError if the task fails in its first
+    steps; later failures are shown on the page.
+    """
+
+    def prepare() -> Site:
+        with announced_compiling(lambda: _say(COMPILING)):
+            return Site(learner, host=host, port=port, speed=speed, task_name=task_name)
+
+    with Interrupts(stop) as interrupts:
+        site = interrupts.prepare(prepare)
+        site.run(interrupts.stop, open_browser=open_browser)
+
+
+class Site:
+    """A learner ready to be shown; raises as `serve` does. It listens from here on."""
+
+    def __init__(
+        self,
+        learner: Learner,
+        *,
+        host: str,
+        port: int | None,
+        speed: Speed | None,
+        task_name: str | None,
+    ) -> None:
+        check_start(learner.task, speed)
+        self._host, self._asked_port, self._speed = host, port, speed
+        self._page: Page | None = None
+        self._worker: Worker | None = None
+        self._run = Run(learner, _maker(learner, task_name), task_name)
+        self._server = guard.open_server(
+            host, port, default_port=DEFAULT_PORT, on_refusal=self._notify
+        )
+        try:
+            warm_up(learner)
+        except BaseException:
+            self._server.stop()
+            raise
+
+    @property
+    def address(self) -> str:
+        """What to type into a browser on this machine."""
+        name = "localhost" if self._host in ("0.0.0.0", "::") else self._host
+        name = f"[{name}]" if ":" in name else name
+        return f"http://{name}:{self._server.get_port()}"
+
+    def run(self, stop: threading.Event, *, open_browser: bool) -> None:
+        """Show it and step it until `stop` is set; then close everything."""
+        try:
+            page = self._page = Page(self._server)
+            worker = self._worker = Worker(self._run, on_notice=page.notify)
+            if self._speed is not None:
+                worker.send(SetSpeed(self._speed))
+            worker.start()
+            self._announce()
+            if open_browser and has_display():
+                threading.Thread(target=_open, args=(self.address,), daemon=True).start()
+            page.run(worker, stop)
+        finally:
+            self._close()
+
+    def _announce(self) -> None:
+        port = self._server.get_port()
+        if self._asked_port is None and port != DEFAULT_PORT:
+            _say(f"port {DEFAULT_PORT} is taken, using {port}")
+        if not is_loopback(self._host):
+            _say(
+                f"warning: {self._host} can be reached from other machines and there is no "
+                "password: whoever reaches it can drive this page"
+            )
+        _say(f"hebbviz is at {self.address} (stop it with Ctrl-C)")
+
+    def _close(self) -> None:
+        if self._worker is not None:
+            self._worker.stop()
+        if self._page is not None:
+            self._page.close()
+        self._server.stop()
+        if self._worker is not None:
+            self._worker.join(SHUTDOWN_SECONDS)
+            _say(f"stopped at step {self._run.learner.step:,}")
+
+    def _notify(self, text: str) -> None:
+        """Notices of the guard, which listens before there is a page."""
+        if self._page is not None:
+            self._page.notify(text)
+
+
+def check_start(task: Task, speed: Speed | None) -> None:
+    """Raise ValueError if a task cannot be run at a speed."""
+    if speed is not None and check_speed(speed) == REALTIME and task.dt is None:
+        raise ValueError(
+            f"speed 'realtime' needs a task with a time step, and {task.name!r} has none: "
+            "give max or steps per second"
+        )
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach a server bound to `host`."""
+    try:
+        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+    except OSError:
+        return False
+    return all(ipaddress.ip_address(str(a[4][0]).partition("%")[0]).is_loopback for a in found)
+
+
+def has_display() -> bool:
+    """Whether a browser window could be opened."""
+    if sys.platform in ("win32", "darwin"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _maker(learner: Learner, task_name: str | None) -> MakeTask:
+    """`make_task` that also knows the learner's own task, by which it may be chosen again."""
+    own, kind = task_name or learner.task.name, type(learner.task)
+
+    def make(name: str, preset: str | None) -> Task:
+        if name != own or name in TASKS:
+            return make_task(name, preset)
+        try:
+            return kind(preset)
+        except Exception as error:
+            raise TaskError(f"task {name!r}: {type(error).__name__}: {error}") from error
+
+    return make
+
+
+def _open(address: str) -> None:
+    with contextlib.suppress(Exception):  # the address is on the terminal
+        webbrowser.open(address)
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()

@@ -1,0 +1,164 @@
+"""Line charts on one x axis in steps: several curves, and a mark where something was changed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+from viser import uplot
+
+from server.palette import Rgb, css
+
+Array = NDArray[np.float64]
+Points = tuple[Array, Array]
+"""x in steps, ascending, and y; a y of NaN is left out."""
+
+Span = tuple[float, float]
+
+HEIGHT = 132
+SHRINK = 0.04
+"""A vertical axis is made smaller when the curves would do with this share of it."""
+ROOM = 0.25
+"""Left free above and below, as a share of the curves' height, so that they seldom leave."""
+MARK_HEIGHT = 0.03
+MARK: Rgb = (150, 150, 160)
+
+
+class Chart:
+    """A chart with fixed series, named and coloured; `draw` gives the points of each.
+
+    `container` is the tab or folder it stands in. Without a `span` its vertical axis holds still
+    until the curves leave it, and is then drawn anew: uPlot's own automatic range takes a NaN,
+    which leaves a point out, for a number.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        container: Any,
+        title: str,
+        series: Mapping[str, Rgb],
+        *,
+        dashed: Sequence[str] = (),
+        dotted: Sequence[str] = (),
+        logarithmic: bool = False,
+        legend: bool = True,
+        span: Span | None = None,
+        height: int = HEIGHT,
+    ) -> None:
+        self._gui, self._container, self._title = gui, container, title
+        self._names, self._dotted = tuple(series), frozenset(dotted)
+        self._logarithmic, self._legend, self._height = logarithmic, legend, height
+        self._series = (
+            uplot.Series(label="step"),
+            *(
+                _series(name, color, dashed=name in dashed, dotted=name in dotted)
+                for name, color in series.items()
+            ),
+            uplot.Series(
+                label="changed", stroke=css(MARK), width=0, points=_points(MARK, 9), scale="m"
+            ),
+        )
+        self._holds = span is not None
+        self._span = span or (0.0, 1.0)
+        self._plot: Any = None
+        blank = [np.full(2, np.inf)] * (len(self._series) - 1)
+        self._add((np.array([0.0, 1.0]), *blank), None)
+
+    def draw(self, points: Mapping[str, Points], marks: Sequence[float]) -> None:
+        """Show the points of each series and a mark at each step of `marks`."""
+        curves = [points.get(name, (np.zeros(0), np.zeros(0))) for name in self._names]
+        steps = [x for x, _ in curves if len(x)]
+        if not steps:
+            return
+        first, last = min(x[0] for x in steps), max(x[-1] for x in steps)
+        seen = np.unique([m for m in marks if first <= m <= last])
+        x = np.unique(np.concatenate([*steps, seen]))
+        columns = [
+            (_dots_on if name in self._dotted else _line_on)(x, *curve)
+            for name, curve in zip(self._names, curves, strict=True)
+        ]
+        fits = self._fit(np.concatenate(columns))
+        if self._logarithmic:  # uPlot clamps NaN to the floor there, and leaves out infinity
+            columns = [np.where(np.isnan(c), np.inf, c) for c in columns]
+        data = (x, *columns, _dots_on(x, seen, np.full(len(seen), MARK_HEIGHT)))
+        if fits:
+            self._plot.data = data
+        else:
+            order = self._plot.order
+            self._plot.remove()
+            self._add(data, order)
+
+    def remove(self) -> None:
+        self._plot.remove()
+
+    def _fit(self, values: Array) -> bool:
+        """Whether the values fit the vertical axis; if not, its span is another from now on."""
+        values = values[np.isfinite(values)]
+        if self._holds or len(values) == 0:
+            return True
+        low, high = float(values.min()), float(values.max())
+        wanted = _around(low, high)
+        fits = self._span[0] <= low and high <= self._span[1]
+        if fits and _width(wanted) >= SHRINK * _width(self._span):
+            return True
+        self._span = wanted
+        return False
+
+    def _add(self, data: tuple[Array, ...], order: float | None) -> None:
+        y: dict[str, Any] = {"auto": False, "range": self._span}
+        if self._logarithmic:
+            y["distr"] = 3
+        scales: Any = {"x": {"time": False}, "y": y, "m": {"auto": False, "range": (0.0, 1.0)}}
+        with self._container:
+            self._plot = self._gui.add_uplot(
+                data, self._series, title=self._title, scales=scales, height=self._height,
+                legend={"show": self._legend, "live": False}, axes=({"size": 28}, {"size": 62}),
+                padding=(8, 12, 0, 0), cursor={"show": False}, order=order,
+            )  # fmt: skip
+
+
+def _around(low: float, high: float) -> Span:
+    """Round numbers outside of two numbers, with some room."""
+    room = max(high - low, 1e-3 * max(abs(low), abs(high)), 1e-9)
+    unit = 10.0 ** math.floor(math.log10(room)) / 2
+    low, high = low - ROOM * room, high + ROOM * room
+    return unit * math.floor(low / unit), unit * math.ceil(high / unit)
+
+
+def _width(span: Span) -> float:
+    return span[1] - span[0]
+
+
+def _points(color: Rgb, size: int) -> Any:
+    return {"show": True, "size": size, "fill": css(color), "stroke": css(color), "width": 1}
+
+
+def _series(name: str, color: Rgb, *, dashed: bool, dotted: bool) -> uplot.Series:
+    if dotted:
+        return uplot.Series(label=name, stroke=css(color), width=0, points=_points(color, 5))
+    line = uplot.Series(
+        label=name, stroke=css(color, 0.55 if dashed else 1.0), width=1.5,
+        points={"show": False}, spanGaps=True,
+    )  # fmt: skip
+    if dashed:
+        line["dash"] = (5, 4)
+    return line
+
+
+def _line_on(x: Array, own: Array, y: Array) -> Array:
+    """A line through (own, y) at the common axis x, NaN before and after it."""
+    if len(own) == 0:
+        return np.full(len(x), np.nan)
+    return np.where((x < own[0]) | (x > own[-1]), np.nan, np.interp(x, own, y))
+
+
+def _dots_on(x: Array, own: Array, y: Array) -> Array:
+    """The points (own, y) on the common axis x, NaN elsewhere."""
+    column = np.full(len(x), np.nan)
+    column[np.searchsorted(x, own)] = y
+    return column

@@ -1,0 +1,187 @@
+"""What can be asked of a run. Commands carry targets, not toggles, and are checked when made.
+
+The first group changes the trajectory: such a command is logged with the step at which it took
+effect, and the log with the seed makes the run again. The second group only says how the run is
+stepped and shown.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from hebbviz.learner import Learner, check_beta, check_gamma, check_reward
+
+LARGEST_SPEED = 1e9
+REALTIME = "realtime"
+MAX = "max"
+
+Speed = float | str
+"""Steps per second, or 'realtime' (tasks with a dt), or 'max'."""
+
+
+def check_speed(speed: Speed) -> Speed:
+    """The speed itself; raises ValueError unless it is 'max', 'realtime' or steps/s above 0."""
+    if speed in (REALTIME, MAX):
+        return speed
+    if isinstance(speed, bool) or not isinstance(speed, (int, float)):
+        raise ValueError(f"speed must be steps per second, realtime or max, got {speed!r}")
+    if not math.isfinite(speed) or not 0.0 < speed <= LARGEST_SPEED:
+        raise ValueError(f"speed must be above 0 and at most {LARGEST_SPEED:g}, got {speed!r}")
+    return float(speed)
+
+
+@dataclass(frozen=True)
+class SetBeta:
+    beta: float
+
+    def __post_init__(self) -> None:
+        check_beta(self.beta)
+
+    def apply(self, learner: Learner) -> None:
+        learner.set_beta(self.beta)
+
+    def __str__(self) -> str:
+        return f"β {self.beta:.6g}"
+
+
+@dataclass(frozen=True)
+class SetGamma:
+    gamma: float
+
+    def __post_init__(self) -> None:
+        check_gamma(self.gamma)
+
+    def apply(self, learner: Learner) -> None:
+        learner.set_gamma(self.gamma)
+
+    def __str__(self) -> str:
+        return f"γ {self.gamma:.3g}"
+
+
+@dataclass(frozen=True)
+class Freeze:
+    frozen: bool
+
+    def apply(self, learner: Learner) -> None:
+        learner.freeze(self.frozen)
+
+    def __str__(self) -> str:
+        return "learning frozen" if self.frozen else "learning on"
+
+
+@dataclass(frozen=True)
+class GiveReward:
+    reward: float
+
+    def __post_init__(self) -> None:
+        check_reward(self.reward)
+
+    def apply(self, learner: Learner) -> None:
+        learner.give_reward(self.reward)
+
+    def __str__(self) -> str:
+        return f"reward {self.reward:+.3g} by hand"
+
+
+@dataclass(frozen=True)
+class Press:
+    control: str
+
+    def apply(self, learner: Learner) -> None:
+        learner.press(self.control)
+
+    def __str__(self) -> str:
+        return self.control.lower()
+
+
+Change = SetBeta | SetGamma | Freeze | GiveReward | Press
+"""A command that changes the trajectory of a run."""
+
+
+@dataclass(frozen=True)
+class Logged:
+    """A change and the step before which it took effect."""
+
+    step: int
+    change: Change
+
+
+@dataclass(frozen=True)
+class Pause:
+    paused: bool
+
+
+@dataclass(frozen=True)
+class StepOnce:
+    steps: int = 1
+
+
+@dataclass(frozen=True)
+class SetSpeed:
+    speed: Speed
+
+    def __post_init__(self) -> None:
+        check_speed(self.speed)
+
+
+@dataclass(frozen=True)
+class Reset:
+    """Start again with the set β and γ, from the same seed or from another."""
+
+    seed: int | None = None
+
+
+@dataclass(frozen=True)
+class Choose:
+    """Another task, preset or network."""
+
+    task: str
+    preset: str | None = None
+    hidden: tuple[int, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Undo:
+    pass
+
+
+@dataclass(frozen=True)
+class SetWatch:
+    """Play excerpts at a speed the eye can follow, while the run goes on."""
+
+    on: bool
+
+
+@dataclass(frozen=True)
+class SetWatchSpeed:
+    """Steps per second of the excerpts."""
+
+    speed: float
+
+    def __post_init__(self) -> None:
+        if not isinstance(check_speed(self.speed), float):
+            raise ValueError(f"the speed of excerpts must be in steps per second, got {self.speed}")
+
+
+@dataclass(frozen=True)
+class ShowReward:
+    """Play the latest reward in slow motion."""
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """See how a frozen copy does, while the run goes on."""
+
+
+@dataclass(frozen=True)
+class Probe:
+    """The synapses whose traces the tabs follow."""
+
+    synapses: tuple[int, ...]
+
+
+Command = (
+    Change | Pause | StepOnce | SetSpeed | Reset | Choose | Undo | SetWatch | SetWatchSpeed
+    | ShowReward | Evaluate | Probe
+)  # fmt: skip

@@ -1,0 +1,76 @@
+"""How a frozen copy does, found out beside the run: in a thread and on a learner of its own."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+
+from hebbviz.learner import Learner, TaskError
+from hebbviz.task import CompiledTask
+from server.run import MakeTask
+
+PAUSE_SECONDS = 2.0
+"""Between two evaluations of a task that asks for them all the time."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Figures of a frozen copy made at `step`; names as in `Task.evaluate`."""
+
+    step: int
+    figures: dict[str, float]
+
+
+class Evaluator:
+    """Evaluates one learner at a time, and keeps the figures of a run."""
+
+    def __init__(self, make_task: MakeTask) -> None:
+        self._make_task = make_task
+        self._thread: threading.Thread | None = None
+        self._ended_at = 0.0
+        self._lock = threading.Lock()
+        self._done: list[Evaluation] = []
+        self._run = object()
+        self.error: str | None = None
+
+    def is_free(self) -> bool:
+        rested = time.monotonic() - self._ended_at > PAUSE_SECONDS
+        return rested and (self._thread is None or not self._thread.is_alive())
+
+    def start(self, learner: Learner, task_name: str) -> None:
+        """Evaluate a copy of this learner as it is now; only while `is_free`."""
+        copy = Learner(
+            self._make_task(task_name, learner.task.preset_name), topology=learner.topology,
+            beta=learner.beta, gamma=learner.gamma, seed=learner.seed, lanes=learner.lanes,
+        )  # fmt: skip
+        copy.restore(learner.keyframe())
+        self._thread = threading.Thread(target=self._evaluate, args=(copy, self._run), daemon=True)
+        self._thread.start()
+
+    def forget(self, after_step: int = -1) -> None:
+        """Drop the figures of steps after this one: all, for another run."""
+        with self._lock:
+            self._run = object()
+            self._done = [e for e in self._done if e.step <= after_step]
+
+    def results(self) -> tuple[Evaluation, ...]:
+        with self._lock:
+            return tuple(self._done)
+
+    def _evaluate(self, copy: Learner, run: object) -> None:
+        step = copy.step
+        try:
+            figures = copy.task.evaluate(copy)
+        except TaskError as error:
+            self.error = str(error)
+            figures = {}
+        self._ended_at = time.monotonic()
+        with self._lock:
+            if run is self._run and figures:
+                self._done.append(Evaluation(step, figures))
+
+
+def evaluates_by_itself(learner: Learner) -> bool:
+    """Compiled tasks are evaluated again and again: it costs the run next to nothing."""
+    return isinstance(learner.task, CompiledTask)

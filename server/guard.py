@@ -1,0 +1,366 @@
+"""Opens the page's server, and stands between it and whatever connects.
+
+viser trusts whatever connects: it answers any website's script, takes any value for any widget
+and opens a tunnel to an outside relay when a client asks for one. Here a request must be addressed
+to this server and come from its own page, and a message must pass `admission`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import functools
+import ipaddress
+import logging
+import os
+import socket
+import threading
+import types
+import weakref
+from collections.abc import Awaitable, Callable, Iterator
+from http import HTTPStatus
+from typing import Any
+from urllib.parse import parse_qsl
+
+import rich
+import viser
+import websockets
+import websockets.asyncio.server
+from viser import _gui_handles as gui
+from viser.infra import _infra as viser_infra
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
+from websockets.frames import CloseCode
+from websockets.http11 import Request, Response
+
+from server import admission
+from server.admission import Refused, shown
+
+MAX_MESSAGE_BYTES = 2**20
+SETTLE_SECONDS = 1.0  # between the refusal of a value and showing the true one, see `Gate._refuse`
+PORTS_TRIED = 100
+FAREWELL_SECONDS = 0.3  # for connections to be closed politely when the server stops
+
+# Parameters in the page's address that make viser's page show another server or a recording.
+# Either may run scripts in the page, so such a link would let a foreign site pass for our page.
+FOREIGN_SOURCES = {"websocket", "playbackPath"}
+
+# Where viser's GUI keeps the things that messages are about.
+REGISTRIES: dict[type, str] = {
+    admission.GuiUpdateMessage: "_gui_input_handle_from_uuid",
+    admission.GuiButtonHoldMessage: "_gui_input_handle_from_uuid",
+    admission.GuiFormSubmitMessage: "_container_handle_from_uuid",
+    admission.GuiFormDirtyMessage: "_container_handle_from_uuid",
+    admission.CommandTriggerMessage: "_command_handle_from_uuid",
+}
+
+OnRefusal = Callable[[str], None]
+Handler = Callable[[ServerConnection], Awaitable[None]]
+RequestHook = Callable[[ServerConnection, Request], Response | None]
+
+_viser_lock = threading.RLock()  # one server starts or stops at a time
+_logger = logging.getLogger("hebbviz.websockets")
+# A client that breaks off or garbles its request is no fault of ours, and worth no traceback.
+_logger.addFilter(lambda record: record.getMessage() != "opening handshake failed")
+
+
+class CannotListen(OSError):
+    """The address can't be listened on."""
+
+
+class PortTaken(CannotListen):
+    """Another program listens on the port."""
+
+
+def open_server(
+    host: str = "127.0.0.1",
+    port: int | None = None,
+    *,
+    default_port: int = 8080,
+    on_refusal: OnRefusal,
+) -> viser.ViserServer:
+    """Start a viser server that only its own page can talk to, and only as a page does.
+
+    Args:
+        host: Address to bind, and no other.
+        port: Port to bind (0: any free one), or else `PortTaken` is raised. None: `default_port`
+            or the next free one above it; `get_port()` of the server tells which.
+        default_port: See `port`.
+        on_refusal: Called with one line for what was refused, in the server's event loop: it must
+            be quick. A widget is reported at most once a second, anything else once.
+    """
+    listener = _listener(host, port, default_port)
+    gate = Gate(host, listener.getsockname()[1], on_refusal)
+    called: list[bool] = []
+
+    def serve(handler: Handler, _host: str, _port: int, **options: Any) -> Any:
+        called.append(True)
+        return gate.serve(handler, sock=listener, **options)
+
+    with _viser_silenced(), _viser_serves_with(serve):
+        server = _QuietServer(host=host, port=gate.port, verbose=False)
+    if not called:  # never run without the gate
+        server.stop()
+        listener.close()
+        raise RuntimeError(f"viser {viser.__version__} starts its server in an unknown way")
+    server.gui.configure_theme(show_share_button=False)
+    gate.server, server.gate = server, gate
+    return server
+
+
+class Gate:
+    """Judges requests and messages for one server; runs in that server's event loop."""
+
+    def __init__(self, host: str, port: int, on_refusal: OnRefusal) -> None:
+        self.host, self.port, self.on_refusal = host, port, on_refusal
+        self.server: viser.ViserServer | None = None
+        self.connections: weakref.WeakSet[ServerConnection] = weakref.WeakSet()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._reported: set[str] = set()
+        self._unsettled: set[str] = set()
+
+    def serve(self, handler: Handler, *, process_request: RequestHook, **options: Any) -> Any:
+        """`websockets.asyncio.server.serve` as viser calls it, with the gate in its hooks."""
+
+        async def checked_request(conn: ServerConnection, request: Request) -> Response | None:
+            try:
+                check_request(request, self.host, self.port)
+            except Refused as refused:
+                self.report(refused)
+                return conn.respond(HTTPStatus.FORBIDDEN, f"{refused.line}\n")
+            while self.server is None:  # viser answers a moment before it is complete
+                await asyncio.sleep(0.01)
+            return process_request(conn, request)
+
+        async def checked_handler(connection: ServerConnection) -> None:
+            if connection.subprotocol == f"viser-v{viser.__version__}":
+                await handler(connection)
+            else:  # viser would print what the client calls itself
+                reason = f"This page is not of viser {viser.__version__}: reload it"
+                await connection.close(CloseCode.PROTOCOL_ERROR, reason)
+
+        self._loop = asyncio.get_running_loop()
+        options |= {
+            "process_request": checked_request,
+            "max_size": MAX_MESSAGE_BYTES,
+            "create_connection": functools.partial(_Connection, gate=self),
+            "logger": _logger,
+        }
+        return websockets.asyncio.server.serve(checked_handler, **options)
+
+    def hang_up_soon(self) -> None:
+        """Cut all connections in a moment. A stopping server waits many seconds for a browser that
+        opened a connection in advance and says nothing, or for a tab that stalls.
+        """
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # the loop has ended
+                self._loop.call_soon_threadsafe(
+                    self._loop.call_later, FAREWELL_SECONDS, self._hang_up
+                )
+
+    def _hang_up(self) -> None:
+        for connection in list(self.connections):
+            connection.transport.abort()
+
+    def admit(self, raw: str | bytes) -> bytes | None:
+        """The message as viser may have it, or None.
+
+        It is encoded anew from what was checked, so that viser can't read the same bytes (say,
+        with a key that occurs twice) in another way than the check did.
+        """
+        try:
+            message = admission.decode(raw if isinstance(raw, bytes) else b"")  # viser sends bytes
+            admission.check(message, self._target(message))
+        except Refused as refused:
+            self._refuse(refused)
+            return None
+        return admission.encode(message)
+
+    def report(self, refused: Refused) -> None:
+        """Say it once per kind: a hostile client must not be able to flood the log."""
+        if refused.kind not in self._reported:
+            self._reported.add(refused.kind)
+            self.on_refusal(refused.line)
+
+    def _target(self, message: admission.FromPage) -> Any:
+        """What the message is about, in the shared GUI or else in the one of a single client."""
+        registry = REGISTRIES.get(type(message))
+        if registry is None:
+            return None
+        assert self.server is not None  # requests wait for it
+        uuid: str = message.uuid  # type: ignore[attr-defined]
+        for api in (self.server.gui, *(c.gui for c in self.server.get_clients().values())):
+            if uuid in getattr(api, registry):
+                return getattr(api, registry)[uuid]
+        raise Refused("target", "refused a message from a page: it is about no known widget")
+
+    def _refuse(self, refused: Refused) -> None:
+        """Report now; show the true value a little later, at most once a second per widget.
+
+        Later, because a user who types 25 into a box for 10 to 99 passes through 2, and must not
+        have the box rewritten before the 5.
+        """
+        widget = refused.widget
+        if widget is None:
+            self.report(refused)
+        elif widget._impl.uuid not in self._unsettled:
+            self._unsettled.add(widget._impl.uuid)
+            asyncio.get_running_loop().call_later(SETTLE_SECONDS, self._settle, widget)
+            self.on_refusal(refused.line)
+
+    def _settle(self, widget: Any) -> None:
+        self._unsettled.discard(widget._impl.uuid)
+        if isinstance(widget, gui.GuiInputHandle) and not widget._impl.removed:
+            widget._queue_update("value", widget.value)
+
+
+class _Connection(ServerConnection):
+    """A client's connection, which hands on only the messages that the gate admits."""
+
+    def __init__(self, *args: Any, gate: Gate, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.gate = gate
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        self.gate.connections.add(self)
+
+    async def recv(self, decode: bool | None = None) -> Any:
+        while True:
+            try:
+                raw = await super().recv(decode)
+            except ConnectionClosed as closed:
+                if closed.sent is not None and closed.sent.code == CloseCode.MESSAGE_TOO_BIG:
+                    line = f"refused a message from a page: over {MAX_MESSAGE_BYTES} bytes"
+                    self.gate.report(Refused("oversized", line))
+                raise
+            if (admitted := self.gate.admit(raw)) is not None:
+                return admitted
+
+
+def check_request(request: Request, host: str, port: int) -> None:
+    """Refuse a request that is not meant for us, or not sent by our page.
+
+    A browser names the Origin of a page that opens a websocket; without it, it is no browser's.
+    """
+    hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
+    if len(hosts) != 1 or not is_own(hosts[0], host, port):
+        line = f"it is addressed to {shown(', '.join(hosts))}, which is not this server"
+        raise Refused("host", f"refused a request: {line}")
+    own = {f"{scheme}://{hosts[0].lower()}" for scheme in ("http", "https")}
+    if origins and (len(origins) != 1 or origins[0].lower() not in own):
+        line = f"it comes from {shown(', '.join(origins))}, not from this server's page"
+        raise Refused("origin", f"refused a request: {line}")
+    query = parse_qsl(request.path.partition("?")[2], keep_blank_values=True)
+    if FOREIGN_SOURCES & {key for key, _ in query}:
+        line = "its link makes the page show another server or a recording"
+        raise Refused("link", f"refused a request: {line}")
+
+
+def is_own(authority: str, host: str, port: int) -> bool:
+    """Whether a Host header (`name:port`) names the server bound to `host` and `port`.
+
+    A rebound DNS name resolves to us but is not our name, so a hostile site fails here. Bound to
+    every interface, the server can't list its addresses; but a literal address can't be rebound.
+    """
+    name, colon, written_port = authority.lower().rpartition(":")
+    if not colon or "]" in written_port:  # a browser leaves port 80 out
+        name, written_port = authority.lower(), "80"
+    if written_port != str(port):
+        return False
+    bound = f"[{host}]" if ":" in host else host
+    if name in ("localhost", "127.0.0.1", "[::1]", bound.lower()):
+        return True
+    everywhere = host in ("0.0.0.0", "::")
+    return everywhere and (_is_address(name) or name == socket.gethostname().lower())
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name[1:-1] if name.startswith("[") else name)
+    except ValueError:
+        return False
+    return True
+
+
+def _listener(host: str, port: int | None, default_port: int) -> socket.socket:
+    """A listening socket on `port`, or else on `default_port` or the next free one above it."""
+    for name, number, lowest in (("port", port, 0), ("default_port", default_port, 1)):
+        if number is not None and not lowest <= number <= 65535:
+            raise ValueError(f"{name} must be between 1 and 65535, got {number}")
+    if not host:
+        raise ValueError("host must be a name or an address such as 127.0.0.1, got nothing")
+    if port is not None:
+        return _listen(host, port)
+    last = min(default_port + PORTS_TRIED, 65536) - 1
+    for candidate in range(default_port, last + 1):
+        with contextlib.suppress(PortTaken):
+            return _listen(host, candidate)
+    raise PortTaken(f"can't listen on {host}: ports {default_port} to {last} are taken; name one")
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """A listening socket on exactly this address; held from here on, so nobody can slip in."""
+    where = f"can't listen on {host}:{port}"
+    try:
+        # A name such as localhost may have both kinds of address; browsers try both: take IPv4.
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        family, _, _, _, address = min(found, key=lambda one: one[0] != socket.AF_INET)
+        with contextlib.ExitStack() as on_error:
+            listener = on_error.enter_context(socket.socket(family, socket.SOCK_STREAM))
+            if os.name == "posix":  # there it only skips the wait after a restart
+                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            if family == socket.AF_INET6:
+                listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+            listener.bind(address)
+            listener.listen(128)
+            on_error.pop_all()
+            return listener
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            advice = "stop the program that uses it or choose another port"
+            raise PortTaken(f"{where}: the port is taken; {advice}") from error
+        reason = (error.strerror or str(error)).lower()
+        raise CannotListen(f"{where}: {reason}; choose another host or port") from error
+
+
+class _QuietServer(viser.ViserServer):
+    gate: Gate | None = None
+
+    def stop(self) -> None:
+        with _viser_silenced():
+            if self.gate is not None:
+                self.gate.hang_up_soon()
+            super().stop()
+
+
+@contextlib.contextmanager
+def _viser_silenced() -> Iterator[None]:
+    """viser prints a banner and a farewell with rich even when it is not verbose."""
+    console = rich.get_console()
+    with _viser_lock:
+        quiet, console.quiet = console.quiet, True
+        try:
+            yield
+        finally:
+            console.quiet = quiet
+
+
+@contextlib.contextmanager
+def _viser_serves_with(serve: Callable[..., Any]) -> Iterator[None]:
+    """While a server starts, viser's server module sees our `serve` in place of websockets'.
+
+    viser has no hook for requests or raw messages, and calls `websockets.asyncio.server.serve`
+    by its full name. So the name `websockets` in that one module stands for a view of the package
+    with our `serve`, and for the package again once the server listens.
+    """
+    view = types.SimpleNamespace(**vars(websockets))
+    view.asyncio = types.SimpleNamespace(server=types.SimpleNamespace(serve=serve))
+    names = vars(viser_infra)
+    with _viser_lock:
+        original, names["websockets"] = names["websockets"], view
+        try:
+            yield
+        finally:
+            names["websockets"] = original

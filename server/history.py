@@ -1,0 +1,68 @@
+"""The whole run in a bounded number of windows, each a sum over every one of its steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.task import Tally
+
+Array = NDArray[np.float64]
+
+CAPACITY = 512
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Windows of a run: `end` step, and over each `steps`, `reward`, `broadcast`, `ended`.
+
+    All of shape (windows,); `window` is their length in steps (the last may be shorter).
+    """
+
+    window: int
+    end: Array
+    steps: Array
+    reward: Array
+    broadcast: Array
+    ended: Array
+
+    def tallies(self) -> list[Tally]:
+        columns = (self.steps, self.reward, self.broadcast, self.ended)
+        return [Tally(int(s), r, b, e) for s, r, b, e in zip(*columns, strict=True)]
+
+
+class History:
+    """Totals at the edges of equal windows; when there are too many, two become one."""
+
+    def __init__(self, window: int) -> None:
+        self.window = window
+        self._edges = [Tally(0, 0.0, 0.0, 0.0)]
+
+    def until_edge(self, step: int) -> int:
+        """How many steps may be run before `add` must be called."""
+        return self.window - step % self.window
+
+    def add(self, total: Tally) -> None:
+        """Note the totals since the start; kept where the step is a window's edge."""
+        if total.steps % self.window or total.steps <= self._edges[-1].steps:
+            return
+        self._edges.append(total)
+        if len(self._edges) > CAPACITY:
+            self.window *= 2
+            self._edges = [t for t in self._edges if t.steps % self.window == 0]
+
+    def copy(self) -> History:
+        other = History(self.window)
+        other._edges = list(self._edges)
+        return other
+
+    def curve(self, now: Tally | None = None) -> Curve:
+        """The windows so far; with `now`, the unfinished one too once it is half full."""
+        edges = list(self._edges)
+        if now is not None and now.steps - edges[-1].steps >= self.window / 2:
+            edges.append(now)
+        totals = np.array([(t.steps, t.reward, t.broadcast, t.ended) for t in edges])
+        steps, reward, broadcast, ended = np.diff(totals, axis=0).T
+        return Curve(self.window, totals[1:, 0], steps, reward, broadcast, ended)

@@ -1,0 +1,69 @@
+"""Ctrl-C and SIGTERM: at a good moment while things run, and at once while they are prepared."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import FrameType
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+T = TypeVar("T")
+
+
+class Interrupts:
+    """Takes both signals while entered, also where a shell had the program ignore Ctrl-C.
+
+    The first signal sets `stop`, and `number` is its number; a second one raises
+    KeyboardInterrupt. In a thread other than the main one signals cannot be taken, and only
+    `stop` is left.
+    """
+
+    def __init__(self, stop: threading.Event | None = None) -> None:
+        self.stop = threading.Event() if stop is None else stop
+        self.number: int | None = None
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Interrupts:
+        if threading.current_thread() is threading.main_thread():
+            self._before = {s: signal.signal(s, self._take) for s in SIGNALS}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+    def prepare(self, make: Callable[[], T]) -> T:
+        """What `make` returns, or KeyboardInterrupt as soon as `stop` is set.
+
+        It is called in a thread of its own: a compiler cannot be interrupted for many seconds,
+        and swallows what is raised in it.
+        """
+        made: list[T] = []
+        failures: list[BaseException] = []
+
+        def work() -> None:
+            try:
+                made.append(make())
+            except BaseException as error:
+                failures.append(error)
+
+        thread = threading.Thread(target=work, name="hebbviz preparation", daemon=True)
+        thread.start()
+        while thread.is_alive():
+            thread.join(0.05)
+            if self.stop.is_set():
+                raise KeyboardInterrupt
+        if failures:
+            raise failures[0]
+        return made[0]
+
+    def _take(self, number: int, _: FrameType | None) -> None:
+        if self.number is not None:
+            raise KeyboardInterrupt
+        self.number = number
+        self.stop.set()

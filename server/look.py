@@ -1,0 +1,202 @@
+"""From a Frame to what is seen of the network: pure functions from numbers to colours and sizes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.moments import Frame
+from hebbviz.topology import Projection, Topology
+from server import palette
+from server.palette import Pixels, Theme
+
+Array = NDArray[np.float64]
+
+WIDTH, LAYER = 4.4, 1.55
+"""Extent of the widest layer and distance between layers, in scene units."""
+ROW_OF_NEURONS, ROW_OF_INPUTS = 24, 64
+"""Larger groups are laid out in several rows, one behind the other."""
+LARGEST_RADIUS = 0.17
+MOST_SYNAPSES_DRAWN = 1200
+THICKEST, THINNEST = 0.055, 0.008
+TALLEST_TRACE = 0.45
+TALLEST_INPUT = 0.5
+INPUT_BASE = -0.62
+"""Where the zero of an input's level stands, below its unit."""
+TRACE_AT = 0.68
+"""How far along a synapse its trace stands, from the presynaptic side."""
+
+
+class Scale:
+    """A round number that a picture's full size stands for; it holds still while it fits."""
+
+    def __init__(self) -> None:
+        self.full = 0.0
+
+    def fit(self, largest: float) -> float:
+        """The scale for values up to `largest`: it grows at once, and shrinks below a fifth."""
+        if not math.isfinite(largest) or largest <= 0.0:
+            return self.full or 1.0
+        if largest > self.full or largest < 0.2 * self.full:
+            self.full = _round_up(largest)
+        return self.full
+
+
+def _round_up(x: float) -> float:
+    """The next of … 0.1, 0.2, 0.5, 1, 2, 5 …"""
+    power = 10.0 ** math.floor(math.log10(x))
+    return next(f * power for f in (1.0, 2.0, 5.0, 10.0) if x <= f * power * (1 + 1e-9))
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the units of a network stand: (units, 3), inputs first; and the radius of each."""
+
+    units: Array
+    radius: Array
+    large: float
+    """How much larger than usual things are drawn, in a network of few units."""
+
+    @property
+    def middle(self) -> Array:
+        mid: Array = (self.units.max(axis=0) + self.units.min(axis=0)) / 2
+        return mid
+
+
+def place(topology: Topology) -> Place:
+    """Layers one above the other in the order of the groups, inputs at the bottom."""
+    units, radii = [], []
+    large = float(np.clip(7.0 / topology.units, 1.0, 2.6))
+    for level, group in enumerate((*topology.input_groups, *topology.neuron_groups)):
+        longest = ROW_OF_INPUTS if group.is_input else ROW_OF_NEURONS
+        rows = math.ceil(group.size / longest)
+        columns = math.ceil(group.size / rows)
+        gap = min(0.95, WIDTH / max(1, columns))
+        index = np.arange(group.size)
+        x = (index % columns - (columns - 1) / 2) * gap
+        y = (index // columns) * gap
+        units.append(np.stack([x, y, np.full(group.size, LAYER * level)], axis=1))
+        radii.append(np.full(group.size, min(LARGEST_RADIUS * large, 0.36 * gap)))
+    return Place(np.concatenate(units), np.concatenate(radii), large)
+
+
+def endpoints(topology: Topology) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The presynaptic and postsynaptic unit of every synapse, each (synapses,)."""
+    pre, post = [], []
+    for p in topology.projections:
+        rows, columns = topology.shape(p)
+        post.append(np.repeat(topology.first_unit(p.post) + np.arange(rows), columns))
+        pre.append(np.tile(topology.first_unit(p.pre) + np.arange(columns), rows))
+    return np.concatenate(pre), np.concatenate(post)
+
+
+def unit_names(topology: Topology, input_names: tuple[str, ...]) -> tuple[str, ...]:
+    """A name for every unit: an input's own, a neuron's group and number."""
+    neurons = [
+        g.name if g.size == 1 else f"{g.name} {k + 1}"
+        for g in topology.neuron_groups
+        for k in range(g.size)
+    ]
+    return (*input_names, *neurons)
+
+
+@dataclass(frozen=True)
+class Look:
+    """One picture of the network; colours (n, 3), sizes in scene units."""
+
+    neuron_colors: Pixels
+    neuron_radius: Array
+    glow_radius: Array
+    input_colors: Pixels
+    input_height: Array
+    weight_colors: Pixels
+    weight_radius: Array
+    trace_colors: Pixels
+    trace_height: Array
+
+
+class Looks:
+    """Makes Looks of one network, with scales that hold still and an afterglow of spikes."""
+
+    def __init__(self, topology: Topology, theme: Theme) -> None:
+        self.topology, self.theme = topology, theme
+        self.weight_scale = Scale()
+        self.trace_scales = [Scale() for _ in topology.projections]
+        self.input_scale = Scale()
+        self._place = place(topology)
+        self._radius = self._place.radius
+        self._thick = THICKEST * float(np.clip((40 / topology.synapses) ** 0.3, 0.5, 2.5))
+        self._glow = np.zeros(topology.neurons)
+        self.pre, _ = endpoints(topology)
+
+    def look(self, frame: Frame) -> Look:
+        inputs = self.topology.inputs
+        if frame.since.steps:
+            rate = frame.since.spikes / frame.since.steps
+            self._glow = np.maximum(rate, 0.35 * self._glow)
+        radius = self._radius[inputs:]
+        size = np.abs(frame.weight) / self.weight_scale.fit(np.abs(frame.weight).max(initial=0.0))
+        trace = self._trace_shares(frame)
+        value = frame.activity[:inputs]
+        height = value / self.input_scale.fit(np.abs(value).max(initial=0.0))
+        signs = palette.signed
+        return Look(
+            neuron_colors=palette.blend(self._glow, self.theme.idle, palette.SPIKE),
+            neuron_radius=radius * (1.0 + 0.25 * self._glow),
+            glow_radius=radius * np.where(self._glow > 0.05, 1.15 + 0.75 * self._glow, 0.0),
+            input_colors=signs(
+                height, palette.INPUT_POSITIVE, palette.INPUT_NEGATIVE, self.theme.idle, floor=0.5
+            ),
+            input_height=height * TALLEST_INPUT,
+            weight_colors=signs(
+                np.sign(frame.weight) * np.sqrt(size), palette.WEIGHT_POSITIVE,
+                palette.WEIGHT_NEGATIVE, self.theme.idle, floor=0.5,
+            ),
+            weight_radius=THINNEST + (self._thick - THINNEST) * size,
+            trace_colors=signs(
+                trace, palette.TRACE_POSITIVE, palette.TRACE_NEGATIVE, self.theme.idle, floor=0.6
+            ),
+            trace_height=np.clip(trace, -1, 1) * TALLEST_TRACE * self._place.large,
+        )  # fmt: skip
+
+    def _trace_shares(self, frame: Frame) -> Array:
+        """Traces as shares of the full size, projection by projection."""
+        shares = np.empty_like(frame.trace)
+        for k, scale in enumerate(self.trace_scales):
+            where = self.topology.synapses_of(k)
+            largest = np.abs(frame.trace[where]).max(initial=0.0)
+            shares[where] = frame.trace[where] / scale.fit(largest)
+        return shares
+
+    def legend(self, frame: Frame) -> str:
+        """The scales in words, for the page."""
+        lines = [f"full width of a synapse: |w| = {self.weight_scale.full:g}"]
+        for p, scale, beta in zip(
+            self.topology.projections, self.trace_scales, frame.beta, strict=True
+        ):
+            spread = expected_spread(self.topology, p, frame.activity, float(beta))
+            times = f", {scale.full / spread:.2g} × its expected spread" if spread > 0 else ""
+            lines.append(f"full trace bar, {p.name}: |z| = {scale.full:g}{times}")
+        lines.append(f"full input bar: {self.input_scale.full:g}")
+        return "; ".join(lines)
+
+
+def expected_spread(
+    topology: Topology, projection: Projection, activity: Array, beta: float
+) -> float:
+    """About the standard deviation of z for a neuron that fires half of the time.
+
+    0.5·|u_pre|/√(1−β²), with the root mean square of the presynaptic activities now.
+    """
+    u = activity[topology.units_of(projection.pre)]
+    return float(0.5 * np.sqrt(np.mean(u**2)) / np.sqrt(1.0 - beta**2))
+
+
+def largest_synapses(weight: Array, most: int = MOST_SYNAPSES_DRAWN) -> NDArray[np.intp]:
+    """The synapses to draw: all, or those of largest |w|, in their order."""
+    if len(weight) <= most:
+        return np.arange(len(weight))
+    return np.sort(np.argpartition(-np.abs(weight), most)[:most])

@@ -1,0 +1,292 @@
+"""The page: one scene, panels and controls for all tabs; picks and camera for each.
+
+The loop takes the worker's latest Picture and draws it; it may skip pictures, and it never touches
+the learner. What a tab clicks or types becomes a command.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from typing import Any
+
+import numpy as np
+import viser
+
+from server import palette, words
+from server.commands import Probe
+from server.controls import Controls
+from server.inspector import Inspector
+from server.look import MOST_SYNAPSES_DRAWN, Looks, largest_synapses, place, unit_names
+from server.network_scene import NetworkScene
+from server.palette import THEMES
+from server.panels import Panels
+from server.pulse import Pulse
+from server.worker import Picture, Worker
+from server.world_scene import WorldScene
+
+TEXT_SECONDS = 0.2
+"""Words and numbers change no more often than this, so that they can be read."""
+RESELECT_SECONDS = 3.0
+"""How often the largest synapses of a large network are chosen anew."""
+NOTICE_SECONDS = 6.0
+THEME_SECONDS = 0.6
+"""A page takes a while to change its theme; charts that are made meanwhile lose their axes."""
+
+NETWORK_ALONE = (0.0, 0.0, 0.0)
+NETWORK_OVER_WORLD = (0.0, 2.4, 2.75)
+WORLD_AT = (0.0, 0.0, 0.0)
+
+
+class Page:
+    """Draws a worker's run on a viser server until told to stop."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._notices: deque[str] = deque(maxlen=20)
+        self._inspectors: dict[int, Inspector] = {}
+        self._lock = threading.RLock()
+        self._theme = THEMES["dark"]
+        self._theme_changed = False
+        self._built: tuple[object, ...] | None = None
+        self._parts: list[NetworkScene | WorldScene | Panels] = []
+        self._text_at = self._selected_at = self._rebuild_at = 0.0
+        self._drawn_at: deque[float] = deque(maxlen=60)
+        self._probes: tuple[int, ...] = ()
+        self._worker: Worker | None = None
+
+    def notify(self, text: str) -> None:
+        """Show a notice on all tabs soon; from any thread."""
+        self._notices.append(text)
+
+    def run(self, worker: Worker, stop: threading.Event) -> None:
+        """Draw pictures until `stop` is set."""
+        self._worker = worker
+        picture = worker.wait_for(0, timeout=60.0)
+        if picture is None:
+            return
+        self._build(worker, picture)
+        while not stop.is_set():
+            fresh = worker.wait_for(picture.number, timeout=0.25)
+            if fresh is not None:
+                picture = fresh
+                self._draw(picture)
+            self._say_notices()
+
+    def close(self) -> None:
+        self._server.stop()
+
+    # Building
+
+    def _build(self, worker: Worker, picture: Picture) -> None:
+        server, gui = self._server, self._server.gui
+        self._set_theme()
+        gui.set_panel_label("hebbviz")
+        server.scene.set_up_direction("+z")
+        server.scene.configure_environment_map(None)
+        server.scene.configure_default_lights(enabled=False)
+        server.scene.add_light_ambient("/light/all round", intensity=1.7)
+        for name, place_of_light in (("left", (-4.0, -6.0, 9.0)), ("right", (6.0, -5.0, 3.0))):
+            server.scene.add_light_directional(
+                f"/light/{name}", intensity=1.1, position=place_of_light, cast_shadow=False
+            )
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(340)
+        self._status = gui.add_markdown("")
+        self._warning = gui.add_markdown("", visible=False)
+        self._controls = Controls(gui, worker.send, self.notify, picture.seed)
+        self._build_view(gui)
+        self._health = gui.add_markdown("")
+        above, below = gui.add_panel(), gui.add_panel()
+        self._tabs = {
+            "run": above.add_tab("Learning", viser.Icon.CHART_LINE),
+            "reward": above.add_tab("Reward, rates", viser.Icon.ACTIVITY),
+            "now": below.add_tab("Spikes now", viser.Icon.BOLT),
+            "synapses": below.add_tab("Synapses", viser.Icon.GRID_DOTS),
+        }
+        above.dock_left()
+        above.set_width(348)
+        below.dock_below(above)
+        self._rebuild(picture)
+        server.on_client_connect(self._connected)
+        server.on_client_disconnect(self._disconnected)
+
+    def _build_view(self, gui: viser.GuiApi) -> None:
+        with gui.add_folder("View"):
+            camera = gui.add_button_group("camera", ("overview", "network", "world"))
+            theme = gui.add_dropdown("theme", tuple(THEMES), initial_value=self._theme.name)
+            self._legend = gui.add_markdown("")
+
+        @camera.on_click
+        def _(event: Any) -> None:
+            if event.client is not None:
+                self._look_at(event.client, camera.value)
+
+        @theme.on_update
+        def _(_: Any) -> None:
+            with self._lock:
+                self._theme, self._theme_changed = THEMES[theme.value], True
+
+    def _rebuild(self, picture: Picture) -> None:
+        """Make scene and panels for a task, network or theme."""
+        for part in self._parts:
+            part.remove()
+        task, topology, theme = picture.task, picture.live.topology, self._theme
+        self._names = unit_names(topology, tuple(i.name for i in task.inputs))
+        self._looks, self._pulse = Looks(topology, theme), Pulse(topology.synapses)
+        self._add_network(picture)
+        self._world = WorldScene(self._server.scene, task, theme, offset=WORLD_AT)
+        self._panels = Panels(self._server.gui, self._tabs, picture, theme)
+        self._parts = [self._network, self._world, self._panels]
+        self._frame_camera(picture)
+        for client in self._server.get_clients().values():
+            self._connected(client)
+        self._built = self._identity(picture)
+
+    def _add_network(self, picture: Picture) -> None:
+        self._drawn = largest_synapses(picture.live.weight)
+        self._selected_at = time.monotonic()
+        self._network = NetworkScene(
+            self._server.scene, picture.live.topology, self._names, self._theme, self._drawn,
+            offset=_network_at(picture), on_unit=self._pick_unit, on_synapse=self._pick_synapse,
+        )  # fmt: skip
+
+    def _identity(self, picture: Picture) -> tuple[object, ...]:
+        return picture.task, picture.live.topology, self._theme
+
+    def _set_theme(self) -> None:
+        self._server.gui.configure_theme(
+            dark_mode=self._theme.name == "dark", show_logo=False, show_share_button=False,
+            brand_color=palette.BRAND,
+        )  # fmt: skip
+        self._theme_changed = False
+
+    # Tabs
+
+    def _connected(self, client: viser.ClientHandle) -> None:
+        with self._lock:
+            old = self._inspectors.pop(client.client_id, None)
+            if old is not None:
+                old.remove()
+            picture = self._worker.latest if self._worker is not None else None
+            if picture is not None and picture.live.topology == self._looks.topology:
+                self._inspectors[client.client_id] = Inspector(
+                    client, self._looks.topology, self._names
+                )
+
+    def _disconnected(self, client: viser.ClientHandle) -> None:
+        with self._lock:
+            self._inspectors.pop(client.client_id, None)
+
+    def _pick_unit(self, client: viser.ClientHandle, unit: int) -> None:
+        with self._lock:
+            if client.client_id in self._inspectors:
+                self._inspectors[client.client_id].pick_unit(unit)
+
+    def _pick_synapse(self, client: viser.ClientHandle, synapse: int) -> None:
+        with self._lock:
+            if client.client_id in self._inspectors:
+                self._inspectors[client.client_id].pick_synapse(synapse)
+
+    # Drawing
+
+    def _draw(self, picture: Picture) -> None:
+        with self._lock:
+            if self._theme_changed:
+                self._set_theme()
+                self._rebuild_at = time.monotonic() + THEME_SECONDS
+            if self._identity(picture) != self._built and time.monotonic() > self._rebuild_at:
+                self._rebuild(picture)
+            if picture.live.topology != self._looks.topology:
+                return
+            self._reselect(picture)
+            with self._server.atomic():
+                self._network.draw(self._looks.look(picture.shown))
+                pose = picture.task.pose(picture.shown.world)
+                alone = not picture.task.props
+                self._pulse.follow(picture.shown, self._network, pose.words if alone else "")
+                if not alone:
+                    self._world.draw(pose)
+                self._panels.draw(picture)
+            self._drawn_at.append(time.monotonic())
+            if time.monotonic() - self._text_at > TEXT_SECONDS:
+                self._write(picture)
+
+    def _write(self, picture: Picture) -> None:
+        """All that is read: a few times a second."""
+        self._text_at = time.monotonic()
+        self._controls.follow(picture)
+        pose = picture.task.pose(picture.shown.world)
+        self._status.content = f"{words.shown(picture)}\n\n{pose.words}"
+        self._controls.say_speed(words.speed(picture))
+        warning = picture.error or words.stuck(picture.live_trail)
+        self._warning.visible = warning is not None
+        self._warning.content = f"⚠ **{warning}**" if warning else ""
+        self._legend.content = words.legend(picture.shown, self._looks, len(self._drawn))
+        self._health.content = words.health(
+            picture, self._pictures_per_second(), time.monotonic() - picture.made_at,
+            len(self._server.get_clients()),
+        )  # fmt: skip
+        for inspector in self._inspectors.values():
+            inspector.draw(picture)
+        self._ask_probes()
+
+    def _ask_probes(self) -> None:
+        wanted = tuple(sorted({s for i in self._inspectors.values() for s in i.probes}))
+        if wanted != self._probes and self._worker is not None:
+            self._probes = wanted
+            self._worker.send(Probe(wanted))
+
+    def _reselect(self, picture: Picture) -> None:
+        """In a large network, draw the synapses that are the largest now."""
+        too_many = picture.live.topology.synapses > MOST_SYNAPSES_DRAWN
+        if too_many and time.monotonic() - self._selected_at > RESELECT_SECONDS:
+            if not np.array_equal(largest_synapses(picture.live.weight), self._drawn):
+                self._network.remove()
+                self._add_network(picture)
+                self._parts[0] = self._network
+            self._selected_at = time.monotonic()
+
+    def _pictures_per_second(self) -> float:
+        if len(self._drawn_at) < 2:
+            return 0.0
+        return (len(self._drawn_at) - 1) / (self._drawn_at[-1] - self._drawn_at[0])
+
+    def _say_notices(self) -> None:
+        while self._notices:
+            text = self._notices.popleft()
+            for client in self._server.get_clients().values():
+                client.add_notification(
+                    "hebbviz", text, auto_close_seconds=NOTICE_SECONDS, with_close_button=True
+                )
+
+    # Camera
+
+    def _frame_camera(self, picture: Picture) -> None:
+        position, target = self._view("overview", picture)
+        self._server.initial_camera.position = position
+        self._server.initial_camera.look_at = target
+
+    def _look_at(self, client: viser.ClientHandle, view: str) -> None:
+        if self._worker is not None and self._worker.latest is not None:
+            position, target = self._view(view, self._worker.latest)
+            with client.atomic():
+                client.camera.position = position
+                client.camera.look_at = target
+
+    def _view(self, view: str, picture: Picture) -> tuple[Any, Any]:
+        """Camera position and target."""
+        where = place(picture.live.topology)
+        middle = where.middle + _network_at(picture) + (0.0, 0.0, -0.1)
+        if view == "network" or not picture.task.props:
+            away = 1.6 + 0.95 * float(np.ptp(where.units, axis=0).max())
+            return tuple(middle + (0.0, -away, 0.3)), tuple(middle)
+        if view == "world":
+            return (0.0, -4.6, 2.9), (0.0, 0.0, 0.4)
+        return (0.0, -7.9, 4.5), (0.0, 0.4, 2.25)
+
+
+def _network_at(picture: Picture) -> tuple[float, float, float]:
+    """Over the world it acts in; alone where the task has none to show."""
+    return NETWORK_OVER_WORLD if picture.task.props else NETWORK_ALONE

@@ -1,0 +1,308 @@
+"""The plots and pictures beside the scene: what is shown, the whole run, the synapses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from hebbviz.moments import Frame
+from hebbviz.task import Task
+from hebbviz.topology import Topology
+from server import palette, words
+from server.charts import Chart, Points
+from server.history import Curve
+from server.images import heat_map, raster
+from server.look import Scale
+from server.palette import Rgb, Theme
+from server.worker import Picture
+
+Array = NDArray[np.float64]
+
+MOST_CURVES = 8
+"""With more neurons than this, charts show groups."""
+
+
+class Panels:
+    """Charts and images for one topology and task; each call of `draw` renews one of them."""
+
+    def __init__(
+        self, gui: viser.GuiApi, tabs: dict[str, Any], picture: Picture, theme: Theme
+    ) -> None:
+        self._theme, self._topology = theme, picture.live.topology
+        self._weight_scales = [Scale() for _ in self._topology.projections]
+        self._trace_scales = [Scale() for _ in self._topology.projections]
+        self._curves = _curves_of(self._topology)
+        self._handles: list[Any] = []
+        self._turn = 0
+        self._tabs = tabs
+        self._build_learning(gui, picture)
+        self._build_reward(gui)
+        self._build_now(gui)
+        with tabs["synapses"]:
+            self._build_synapses(gui)
+        self._drawers = (
+            self._draw_learning, self._draw_raster, self._draw_reward, self._draw_potentials,
+            self._draw_rates, self._draw_maps,
+        )  # fmt: skip
+
+    def remove(self) -> None:
+        for handle in self._handles:
+            handle.remove()
+
+    def draw(self, picture: Picture) -> None:
+        """Renew the next one in turn: all of them several times a second."""
+        self._drawers[self._turn](picture)
+        self._turn = (self._turn + 1) % len(self._drawers)
+
+    # Building
+
+    def _build_learning(self, gui: viser.GuiApi, picture: Picture) -> None:
+        measure = picture.task.measure
+        unit = f" ({measure.unit})" if measure.unit else ""
+        self._learning_title = f"{measure.name}{unit}"
+        self._learning = self._keep(
+            Chart(
+                gui, self._tabs["run"], self._learning_title,
+                _learning_series(picture.task),
+                dashed=("earlier run",), dotted=("at least",), logarithmic=measure.logarithmic,
+                span=measure.span,
+                height=215,
+            )
+        )  # fmt: skip
+        with self._tabs["run"]:
+            self._learning_words = self._hold(gui.add_markdown(""))
+
+    def _build_reward(self, gui: viser.GuiApi) -> None:
+        self._reward = self._keep(
+            Chart(
+                gui, self._tabs["reward"], "average reward per step",
+                {"of the task": palette.SERIES[0], "as broadcast": palette.SERIES[1]},
+                dashed=("as broadcast",),
+            )
+        )  # fmt: skip
+        self._rate_chart = self._keep(
+            Chart(
+                gui,
+                self._tabs["reward"],
+                "firing rate (spikes per step)",
+                self._colors(),
+                span=(0.0, 1.0),
+            )
+        )
+
+    def _build_now(self, gui: viser.GuiApi) -> None:
+        self._synapse_chart = None
+        if self._topology.synapses == 1:
+            series = {"z": palette.TRACE_POSITIVE, "w": palette.WEIGHT_POSITIVE}
+            title = "trace z and weight w of the synapse"
+            self._synapse_chart = self._keep(
+                Chart(gui, self._tabs["now"], title, series, height=190)
+            )
+        groups = ", ".join(f"{g.name} {g.size}" for g in self._topology.neuron_groups)
+        with self._tabs["now"]:
+            self._raster_image = self._hold(
+                gui.add_image(
+                    raster(None, self._topology, self._theme),
+                    label=f"spikes: {groups}",
+                    format="jpeg",
+                    jpeg_quality=90,
+                )
+            )
+            self._raster_words = self._hold(gui.add_markdown(""))
+        series = {
+            f"{name}{end}": color
+            for name, color in self._colors().items()
+            for end in ("", " ")  # the second is the greatest of the same picture
+        }
+        self._potential_chart = self._keep(
+            Chart(gui, self._tabs["now"], "potential v", series, legend=False, height=140)
+        )
+        with self._tabs["now"]:
+            self._hold(gui.add_markdown(_key(self._colors())))
+
+    def _build_synapses(self, gui: viser.GuiApi) -> None:
+        blank = np.zeros((8, 8, 3), dtype=np.uint8)
+        self._maps = []
+        for p in self._topology.projections:
+            pair = []
+            for letter, name in (("w", "weights"), ("z", "eligibility traces")):
+                image = gui.add_image(blank, label=f"{letter}: {name}, {p.name}", format="png")
+                pair.append((self._hold(image), self._hold(gui.add_markdown(""))))
+            self._maps.append(pair)
+
+    def _colors(self) -> dict[str, Rgb]:
+        return {
+            name: palette.SERIES[k % len(palette.SERIES)] for k, name in enumerate(self._curves)
+        }
+
+    def _keep(self, chart: Chart) -> Chart:
+        self._handles.append(chart)
+        return chart
+
+    def _hold(self, handle: Any) -> Any:
+        self._handles.append(handle)
+        return handle
+
+    # Drawing
+
+    def _draw_learning(self, picture: Picture) -> None:
+        points = _scores(picture, picture.curve)
+        if picture.ghost is not None:
+            points["earlier run"] = _scores(picture, picture.ghost)["this run"]
+        points |= _frozen(picture)
+        self._learning.draw(points, _marks(picture))
+        newest = picture.curve.tallies()[-1:]
+        said = [words.score(picture.task.score(t), picture.task.measure) for t in newest]
+        now = f", now **{said[0]}**" if said else ""
+        bound = (
+            " Dots: no fall in that window, so at least this." if points["at least"][0].size else ""
+        )
+        self._learning_words.content = (
+            f"Each point sums up {words.count(picture.curve.window)} steps{now}.{bound} "
+            f"{_changes(picture)} {_evaluated(picture)}"
+        )
+
+    def _draw_reward(self, picture: Picture) -> None:
+        curve = picture.curve
+        per_step = {"of the task": curve.reward, "as broadcast": curve.broadcast}
+        self._reward.draw(
+            {name: (curve.end, r / curve.steps) for name, r in per_step.items()}, _marks(picture)
+        )
+
+    def _draw_rates(self, picture: Picture) -> None:
+        frames = _moved(picture.live_trail)
+        if len(frames) > 1:
+            x = np.array([f.step for f in frames], dtype=np.float64)
+            rates = np.array([f.since.spikes / f.since.steps for f in frames])
+            points = {n: (x, rates[:, c].mean(axis=1)) for n, c in self._curves.items()}
+            self._rate_chart.draw(points, _marks(picture))
+
+    def _draw_raster(self, picture: Picture) -> None:
+        self._raster_image.image = raster(picture.recent, self._topology, self._theme)
+        last = picture.recent.end - 1 if picture.recent else 0
+        self._raster_words.content = (
+            f"Every step up to {words.count(last)}, newest at the right. "
+            "Top row: reward yellow, punishment red."
+        )
+
+    def _draw_potentials(self, picture: Picture) -> None:
+        """Least and greatest v of each picture, of each curve's neurons."""
+        frames = _moved(picture.shown_trail)
+        if self._synapse_chart is not None and len(frames) > 1:
+            x = np.array([f.step for f in frames], dtype=np.float64)
+            z, w = np.array([(f.trace[0], f.weight[0]) for f in frames]).T
+            self._synapse_chart.draw({"z": (x, z), "w": (x, w)}, _marks(picture))
+        if len(frames) > 1:
+            x = np.array([f.step for f in frames], dtype=np.float64)
+            low, high = np.array([f.since.potential_range for f in frames]).transpose(1, 0, 2)
+            points: dict[str, Points] = {}
+            for name, c in self._curves.items():
+                points[name] = (x, low[:, c].min(axis=1))
+                points[f"{name} "] = (x, high[:, c].max(axis=1))
+            self._potential_chart.draw(points, _marks(picture))
+
+    def _draw_maps(self, picture: Picture) -> None:
+        frame, topology = picture.shown, self._topology
+        for k, p in enumerate(topology.projections):
+            where, shape = topology.synapses_of(k), topology.shape(p)
+            p_hues = (palette.WEIGHT_POSITIVE, palette.WEIGHT_NEGATIVE)
+            z_hues = (palette.TRACE_POSITIVE, palette.TRACE_NEGATIVE)
+            kinds = (
+                (frame.weight, self._weight_scales[k], *p_hues),
+                (frame.trace, self._trace_scales[k], *z_hues),
+            )
+            for (image, text), (values, scale, positive, negative) in zip(
+                self._maps[k], kinds, strict=True
+            ):
+                matrix = values[where].reshape(shape)
+                full = scale.fit(float(np.abs(matrix).max(initial=0.0)))
+                image.image = heat_map(matrix, full, positive, negative, self._theme)
+                text.content = _map_words(full, positive, negative)
+
+
+def _map_words(full: float, positive: Rgb, negative: Rgb) -> str:
+    return (
+        f"<span style='color:{palette.css(negative)}'>■</span> −{full:g} · 0 · "
+        f"<span style='color:{palette.css(positive)}'>■</span> +{full:g} · "
+        "rows: to, columns: from"
+    )
+
+
+def _curves_of(topology: Topology) -> dict[str, slice]:
+    """Name and neurons of each curve: single neurons, or groups if there are too many."""
+    groups = {g.name: topology.neurons_of(g.name) for g in topology.neuron_groups}
+    if topology.neurons > MOST_CURVES:
+        return groups
+    curves = {}
+    for name, where in groups.items():
+        for k in range(where.start, where.stop):
+            label = name if where.stop - where.start == 1 else f"{name} {k - where.start + 1}"
+            curves[label] = slice(k, k + 1)
+    return curves
+
+
+def _scores(picture: Picture, curve: Curve) -> dict[str, Points]:
+    """The task's measure of every window; bounds apart."""
+    scores = [picture.task.score(t) for t in curve.tallies()]
+    value = np.array([s.value for s in scores])
+    bound = np.array([s.is_bound for s in scores], dtype=bool)
+    if picture.task.measure.logarithmic:
+        value = np.where(value > 0, value, np.nan)
+    return {"this run": (curve.end, value), "at least": (curve.end[bound], value[bound])}
+
+
+def _learning_series(task: Task) -> dict[str, Rgb]:
+    series = {
+        "this run": palette.SERIES[0], "at least": palette.SERIES[1], "earlier run": (140, 140, 140)
+    }  # fmt: skip
+    frozen = zip(task.frozen_figures, (palette.SERIES[2], palette.SERIES[4]), strict=False)
+    return series | {_frozen_name(key): color for key, color in frozen}
+
+
+def _frozen_name(key: str) -> str:
+    return key.replace("_", " ")
+
+
+def _frozen(picture: Picture) -> dict[str, Points]:
+    """What frozen copies of the run did, as curves."""
+    times = 100.0 if picture.task.measure.unit == "%" else 1.0
+    x = np.array([e.step for e in picture.evaluations], dtype=np.float64)
+    return {
+        _frozen_name(key): (x, times * np.array([e.figures[key] for e in picture.evaluations]))
+        for key in picture.task.frozen_figures
+    }
+
+
+def _evaluated(picture: Picture) -> str:
+    if not picture.evaluations:
+        return ""
+    latest = picture.evaluations[-1]
+    said = ", ".join(f"{_frozen_name(k)} **{v:.3g}**" for k, v in latest.figures.items())
+    return f"Frozen copy at step {words.count(latest.step)}: {said}."
+
+
+def _moved(frames: tuple[Frame, ...]) -> list[Frame]:
+    return [f for f in frames if f.since.steps]
+
+
+def _marks(picture: Picture) -> list[float]:
+    return [float(c.step) for c in picture.changes]
+
+
+def _changes(picture: Picture) -> str:
+    """The latest changes in words, for the marks."""
+    latest = picture.changes[-3:]
+    if not latest:
+        return ""
+    said = "; ".join(f"{c.change} at {words.count(c.step)}" for c in latest)
+    return f"Changed: {said}."
+
+
+def _key(colors: dict[str, Rgb]) -> str:
+    return " ".join(
+        f"<span style='color:{palette.css(color)}'>■</span> {name}"
+        for name, color in colors.items()
+    )

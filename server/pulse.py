@@ -1,0 +1,82 @@
+"""A reward seen as it arrives: a pulse through the network, and the weight changes it makes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.moments import Frame
+from server import palette
+from server.look import THICKEST
+from server.network_scene import NetworkScene
+from server.palette import Rgb
+
+Array = NDArray[np.float64]
+
+PULSE_PICTURES = 14
+"""Pictures that the pulse takes through the network."""
+AFTERGLOW_PICTURES = 26
+"""Pictures for which the weight changes stay to be seen."""
+QUIET_PICTURES = 25
+"""Rewards closer together than this make no pulse each; their weight changes are shown."""
+FEW_STEPS = 25
+"""With more steps in a picture, rewards are told as a rate, not as events."""
+
+
+class Pulse:
+    """Follows the shown Frames and draws the latest reward on a NetworkScene."""
+
+    def __init__(self, synapses: int) -> None:
+        self._since_reward = 10_000
+        self._pulse_age = PULSE_PICTURES
+        self._color: Rgb = palette.REWARD
+        self._change = np.zeros(synapses)
+        self._hidden = True
+
+    def follow(self, frame: Frame, scene: NetworkScene, world: str) -> None:
+        """Advance by one picture; `world` is said over the network too."""
+        if frame.since.steps:
+            scene.say(self._words(frame), world)
+        if 0 < frame.since.steps <= FEW_STEPS and frame.since.tally.broadcast != 0.0:
+            self._arrive(frame)
+        self._since_reward += 1
+        self._pulse_age += 1
+        self._draw(scene)
+
+    def _arrive(self, frame: Frame) -> None:
+        if self._since_reward > QUIET_PICTURES:
+            self._pulse_age = 0
+        positive = frame.since.tally.broadcast > 0
+        self._color = palette.REWARD if positive else palette.PUNISHMENT
+        self._since_reward = 0
+        self._change = frame.since.weight_change.copy()
+
+    def _draw(self, scene: NetworkScene) -> None:
+        if self._since_reward > AFTERGLOW_PICTURES:
+            if not self._hidden:
+                scene.draw_change(np.zeros_like(self._change), self._change)
+                scene.draw_pulse(0.0, self._color)
+                self._hidden = True
+            return
+        self._hidden = False
+        largest = np.abs(self._change).max(initial=0.0)
+        size = np.abs(self._change) / largest if largest > 0 else np.zeros_like(self._change)
+        fade = 1.0 - self._since_reward / (AFTERGLOW_PICTURES + 1)
+        radius = np.where(size > 0.02, THICKEST * 1.9 * size * fade, 0.0)
+        scene.draw_change(radius, np.sign(self._change) * size)
+        share = self._pulse_age / PULSE_PICTURES
+        scene.draw_pulse(share if share < 1.0 else 0.0, self._color)
+
+    def _words(self, frame: Frame) -> str:
+        """What the label over the network says; empty while nothing is to be told."""
+        since = frame.since
+        if since.steps > FEW_STEPS:
+            return f"r: {since.tally.broadcast / since.steps:+.3f} per step"
+        if since.tally.broadcast != 0.0:
+            largest = float(np.abs(since.weight_change).max(initial=0.0))
+            return f"r = {since.tally.broadcast:+g}: Δw = γ r z, at most {largest:.1e}"
+        if self._since_reward > AFTERGLOW_PICTURES:
+            return "r = 0"
+        largest = float(np.abs(self._change).max(initial=0.0))
+        sign = "+" if self._color == palette.REWARD else "−"
+        return f"r {sign}: Δw at most {largest:.1e}"

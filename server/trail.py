@@ -1,0 +1,44 @@
+"""The latest of what was shown, as far as it follows on without a leap."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from hebbviz.moments import Block, Frame, join
+
+FRAMES = 200
+STEPS = 256
+MOST_BYTES = 100_000_000
+
+
+class Trail:
+    """Frames that follow on one another, and every step of the latest stretch of them."""
+
+    def __init__(self) -> None:
+        self._frames: deque[Frame] = deque(maxlen=FRAMES)
+        self.recent: Block | None = None
+
+    def add(self, frame: Frame, block: Block | None = None) -> None:
+        """Append a frame and its steps; after a leap begin anew."""
+        if self._frames and frame.step - frame.since.steps != self._frames[-1].step:
+            self.clear()
+        if frame.since.steps or not self._frames:
+            self._frames.append(frame)
+        while len(self._frames) * _size(frame) > MOST_BYTES and len(self._frames) > 1:
+            self._frames.popleft()
+        if block is not None and len(block.fired):
+            joins = self.recent is not None and self.recent.end == block.start
+            parts = (self.recent, block) if joins and self.recent is not None else (block,)
+            self.recent = join(parts).tail(STEPS)
+
+    def clear(self) -> None:
+        self._frames.clear()
+        self.recent = None
+
+    @property
+    def frames(self) -> tuple[Frame, ...]:
+        return tuple(self._frames)
+
+
+def _size(frame: Frame) -> int:
+    return 3 * frame.weight.nbytes + 4096

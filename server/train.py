@@ -1,0 +1,177 @@
+"""Training without a page: as fast as it goes, and the figures at the end."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import sys
+import threading
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from numba.core import event
+from tqdm import tqdm  # type: ignore[import-untyped]
+
+import hebbviz
+from hebbviz.learner import TaskError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from hebbviz.learner import Learner
+    from hebbviz.task import Tally
+
+CHUNK_SECONDS = 0.1
+"""Aim for one uninterrupted stretch of steps; a stop waits at most about twice this."""
+
+Figures = dict[str, Any]
+"""By name, and fit for strict JSON."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """What came of it: steps made of those asked for, their wall time, totals of the last fifth."""
+
+    steps: int
+    seconds: float
+    late: Tally
+    finished: bool
+
+
+class _Announcement(event.Listener):
+    def __init__(self, say: Callable[[], None]) -> None:
+        self._say: Callable[[], None] | None = say
+
+    def on_start(self, _: Any) -> None:
+        if self._say is not None:
+            self._say()
+            self._say = None
+
+    def on_end(self, _: Any) -> None:
+        pass
+
+
+@contextlib.contextmanager
+def announced_compiling(say: Callable[[], None]) -> Iterator[None]:
+    """Call `say` once if numba compiles something in here: what it has on disk is only loaded."""
+    with event.install_listener("numba:compile", _Announcement(say)):
+        yield
+
+
+def warm_up(learner: Learner) -> None:
+    """Have everything compiled that a run of `learner` needs, without moving it on."""
+    twin = learner.twin()
+    twin.skip(2)
+    twin.advance(2)
+    twin.frame()
+
+
+def train(
+    learner: Learner, steps: int, *, stop: threading.Event | None = None, bar: bool = False
+) -> Training:
+    """Run `steps` steps, or until `stop` is set; `bar` shows the progress on stderr.
+
+    Raises TaskError if the task fails; the learner is then at the end of the last good step.
+    """
+    stop = threading.Event() if stop is None else stop
+    start, began = learner.step, time.perf_counter()
+    with _progress(steps, shown=bar) as moved:
+        _skip(learner, steps * 4 // 5, stop, moved)
+        before_late = learner.tally()
+        _skip(learner, start + steps - learner.step, stop, moved)
+    seconds = time.perf_counter() - began
+    made = learner.step - start
+    return Training(made, seconds, learner.tally() - before_late, finished=made == steps)
+
+
+def _skip(
+    learner: Learner, steps: int, stop: threading.Event, moved: Callable[[int], object]
+) -> None:
+    """`learner.skip(steps)`, cut so that `stop` acts soon whatever a step costs."""
+    end, chunk = learner.step + steps, 1
+    while learner.step < end and not stop.is_set():
+        size, began = min(chunk, end - learner.step), time.perf_counter()
+        learner.skip(size)
+        moved(size)
+        seconds = time.perf_counter() - began
+        if seconds < CHUNK_SECONDS / 2:
+            chunk = 2 * chunk
+        elif seconds > 2 * CHUNK_SECONDS:
+            chunk = max(1, chunk // 2)
+
+
+@contextlib.contextmanager
+def _progress(steps: int, *, shown: bool) -> Iterator[Callable[[int], object]]:
+    if not shown:
+        yield lambda _: None
+        return
+    with tqdm(total=steps, unit=" steps", unit_scale=True, file=sys.stderr) as bar:
+        yield bar.update
+
+
+def own_figures(learner: Learner, training: Training) -> Figures:
+    """The task's own figures; None is what was not measured or is not finite.
+
+    Raises TaskError if the task cannot tell them.
+    """
+    task = learner.task
+    try:
+        figures = task.results(learner, training.late)
+        own = {str(name): _finite(value) for name, value in figures.items()}
+        is_bound = training.late.steps > 0 and task.score(training.late).is_bound
+    except Exception as error:
+        what = f"{type(error).__name__}: {error}"
+        raise TaskError(f"task {task.name!r} cannot tell its results: {what}") from error
+    if training.late.steps == 0 and task.measure.key in own:
+        own[task.measure.key] = None
+    return own | {"is_lower_bound": bool(is_bound)}
+
+
+def figures_of(learner: Learner, training: Training, task_name: str) -> Figures:
+    """What can be told of any run. `steps` were made now, `total_steps` since its start."""
+    late, steps = training.late, training.steps
+    return {
+        "task": task_name,
+        "preset": learner.task.preset_name,
+        "network": learner.topology.describe(),
+        "beta": learner.beta,
+        "gamma": learner.gamma,
+        "frozen": learner.frozen,
+        "seed": learner.seed,
+        "steps": steps,
+        "total_steps": learner.step,
+        "seconds": training.seconds,
+        "steps_per_second": _finite(steps / max(training.seconds, 1e-9)) if steps else None,
+        "late_steps": late.steps,
+        "average_reward": _finite(late.average_reward) if late.steps else None,
+        "version": hebbviz.__version__,
+    }
+
+
+def _finite(value: Any) -> float | None:
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
+def describe(figures: Figures, own: Figures) -> str:
+    """Both, to be read."""
+    lines = [
+        f"{figures['task']} {figures['preset']}, {figures['network']}, seed {figures['seed']}, "
+        f"β {figures['beta']:.6g}, γ {figures['gamma']:.3g}"
+        + (", learning frozen" if figures["frozen"] else ""),
+        f"{figures['steps']:,} steps in {figures['seconds']:.2f} s"
+        + (f", {figures['steps_per_second']:,.0f} a second" if figures["steps"] else "")
+        + f"; now at step {figures['total_steps']:,}",
+    ]
+    if figures["average_reward"] is not None:
+        lines.append(
+            f"average reward: {figures['average_reward']:.6g} a step, "
+            f"over the last {figures['late_steps']:,}"
+        )
+    bound = " or more, no episode ended" if own["is_lower_bound"] else ""
+    for name, value in own.items():
+        if name not in figures and name != "is_lower_bound":
+            told = "not measured" if value is None else f"{value:.6g}{bound}"
+            lines.append(f"{name.replace('_', ' ')}: {told}")
+    return "\n".join(lines)

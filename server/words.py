@@ -1,0 +1,163 @@
+"""What the page says in words: what is shown, how the run fares, when it is stuck."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.moments import Frame
+from hebbviz.task import Measure, Score, Task
+from server import palette
+from server.look import Looks
+from server.worker import Picture
+
+Array = NDArray[np.float64]
+
+CONSTANT = 0.995
+"""An output that does the same in this share of the steps, or more, counts as constant."""
+SATURATED = 12.0
+"""|v| beyond which a neuron's spikes are certain, to about 1 in 10⁵."""
+ENOUGH_STEPS = 20_000
+"""Long enough for many patterns or many falls."""
+
+
+def count(n: float) -> str:
+    """A whole number with thin groups, of a width that does not jump: 1,234,567."""
+    return f"{n:,.0f}"
+
+
+def short(x: float) -> str:
+    """Three digits and a unit: 12.3 k, 4.56 M."""
+    for limit, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if abs(x) >= limit:
+            return f"{x / limit:.3g} {unit}"
+    return f"{x:.3g}"
+
+
+def duration(seconds: float) -> str:
+    """12.3 s, 4.5 min, 6.7 h, 8.9 d."""
+    for limit, unit in ((86_400, "d"), (3_600, "h"), (60, "min")):
+        if seconds >= limit:
+            return f"{seconds / limit:.1f} {unit}"
+    return f"{seconds:.3g} s"
+
+
+def memory(beta: float, dt: float | None) -> str:
+    """The time constant of the trace."""
+    steps = 1.0 / (1.0 - beta)
+    seconds = f" = {duration(steps * dt)}" if dt else ""
+    return f"1/(1−β) = {steps:,.4g} steps{seconds}"
+
+
+def score(value: Score, measure: Measure) -> str:
+    at_least = "≥ " if value.is_bound else ""
+    text = duration(value.value) if measure.unit == "s" else f"{value.value:.3g} {measure.unit}"
+    return f"{at_least}{text}".strip()
+
+
+def shown(picture: Picture) -> str:
+    """Which steps are seen, how many in one picture, and what the neurons' light means."""
+    moved = [f.since.steps for f in picture.shown_trail[-3:] if f.since.steps]
+    steps = max(moved, default=1)
+    light = "a lit neuron fired" if steps <= 3 else "light is the firing rate"
+    each = f"one picture = {count(steps)} step{'s' * (steps != 1)}: {light}"
+    excerpt = picture.excerpt
+    if excerpt is None:
+        state = "paused at" if picture.paused else "live,"
+        return f"**{state} step {count(picture.shown.step)}** · {each}"
+    kind = "latest reward, slow motion" if excerpt.is_reward else "excerpt"
+    return (
+        f"**{kind}: step {count(excerpt.now)}** of {count(excerpt.first)}–{count(excerpt.last)} "
+        f"(the run is at {count(picture.live.step)}) · {each}"
+    )
+
+
+def time_of(task: Task, step: int) -> str:
+    """Simulated time, for tasks that have one."""
+    return f" · {duration(step * task.dt)} simulated" if task.dt else ""
+
+
+def stuck(frames: Sequence[Frame]) -> str | None:
+    """Why nothing is learnt any more, and what helps; None if the latest frames show no sign."""
+    steps, spikes = 0, np.zeros(0)
+    low, high = np.zeros(0), np.zeros(0)
+    for frame in reversed(frames):
+        since = frame.since
+        if not since.steps:
+            continue
+        if not steps:
+            spikes = np.zeros(len(since.spikes))
+            low, high = since.potential_range
+        steps, spikes = steps + since.steps, spikes + since.spikes
+        low = np.minimum(low, since.potential_range[0])
+        high = np.maximum(high, since.potential_range[1])
+        if steps >= ENOUGH_STEPS:
+            return _stuck(frames[-1], spikes / steps, low, high, steps)
+    return None
+
+
+def _stuck(frame: Frame, rate: Array, low: Array, high: Array, steps: int) -> str | None:
+    if not np.isfinite(frame.weight).all():
+        return "The weights have grown beyond all numbers. Undo, or reset with a smaller γ."
+    outputs = rate[frame.topology.neurons_of(frame.topology.output)]
+    if (np.maximum(outputs, 1 - outputs) >= CONSTANT).all():
+        return (
+            f"Stuck: all outputs have been constant over {count(steps)} steps, so their traces "
+            "hold next to nothing to learn from. What helps: undo, or reset with a smaller γ or "
+            "a shorter trace (smaller β)."
+        )
+    sure = (low > SATURATED) | (high < -SATURATED)
+    if sure.mean() > 0.5:
+        return (
+            "More than half of the neurons are saturated: their spikes are certain and their "
+            "traces do not move. What helps: undo, or reset with a smaller γ."
+        )
+    return None
+
+
+def health(picture: Picture, pictures_per_second: float, age: float, tabs: int) -> str:
+    """The line that tells whether all is well."""
+    return (
+        f"`{short(picture.steps_per_second):>7} steps/s` · "
+        f"`{pictures_per_second:4.1f} pictures/s` · `{1000 * age:3.0f} ms old` · "
+        f"{tabs} tab{'s' * (tabs != 1)}"
+    )
+
+
+def log10(gamma: float) -> float:
+    return math.log10(gamma) if gamma > 0 else -math.inf
+
+
+def speed(picture: Picture) -> str:
+    """What is asked for and what is reached."""
+    reached = f"`{short(picture.steps_per_second)} steps/s`"
+    dt = picture.task.dt
+    times = f" = {short(picture.steps_per_second * dt)} × real time" if dt else ""
+    return f"reached: {reached}{times}{time_of(picture.task, picture.live.step)}"
+
+
+def legend(frame: Frame, looks: Looks, drawn: int) -> str:
+    """Colours and scales."""
+    p, css = palette, palette.css
+    all_synapses = frame.topology.synapses
+    some = f" The {count(drawn)} largest of {count(all_synapses)} are drawn." * (
+        drawn < all_synapses
+    )
+    return "\n".join((
+        f"- {_dot(css(p.SPIKE))} spike, or firing rate",
+        f"- {_dot(css(p.WEIGHT_POSITIVE))} w > 0 {_dot(css(p.WEIGHT_NEGATIVE))} w < 0: "
+        f"width is |w|.{some}",
+        f"- {_dot(css(p.TRACE_POSITIVE))} z > 0, up {_dot(css(p.TRACE_NEGATIVE))} z < 0, down: "
+        "the bar on each synapse is its eligibility trace",
+        f"- {_dot(css(p.INPUT_POSITIVE))} {_dot(css(p.INPUT_NEGATIVE))} input values, as levels",
+        f"- {_dot(css(p.REWARD))} reward {_dot(css(p.PUNISHMENT))} punishment; the glow on the "
+        "synapses is the Δw it made",
+        f"- {looks.legend(frame)}",
+    ))  # fmt: skip
+
+
+def _dot(color: str) -> str:
+    return f"<span style='color:{color}'>●</span>"

@@ -1,0 +1,539 @@
+"""The run, its log, its way back, what is watched of it, and the thread that steps it."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hebbviz.learner import Learner, TaskError
+from hebbviz.task import Input, Output, Preset, Tally, Task
+from server.commands import (
+    Choose,
+    Command,
+    Freeze,
+    GiveReward,
+    Logged,
+    Pause,
+    Press,
+    Reset,
+    SetBeta,
+    SetGamma,
+    SetSpeed,
+    SetWatch,
+    SetWatchSpeed,
+    ShowReward,
+    StepOnce,
+    Undo,
+)
+from server.history import CAPACITY, History
+from server.run import Run
+from server.watch import LEAD, TAIL, Watch
+from server.worker import Picture, Worker
+from sims.loading import make_task
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from server.run import Moment
+
+
+class Breaks(Task):
+    """Raises at step 300, unless γ was set to 0 before: then its weights stand still."""
+
+    name = "breaks"
+    inputs = (Input("one"),)
+    outputs = (Output("a", "fires", "is silent"),)
+    presets = {"only": Preset(0.5, 0.1, "a test")}
+
+    def restart(self, draws: Any) -> Any:
+        return np.zeros(1)
+
+    def transition(self, state: Any, action: Any, draws: Any) -> Any:
+        if state[0] >= 300:
+            raise KeyError("no more")
+        return state + 1.0
+
+    def observation(self, state: Any) -> Any:
+        return np.ones(1)
+
+    def reward(self, state: Any) -> float:
+        return float(state[0] % 2)
+
+
+def make(name: str, preset: str | None = None) -> Task:
+    return Breaks(preset) if name == "breaks" else make_task(name, preset)
+
+
+def new_run(task: str = "pendulum", **options: Any) -> Run:
+    return Run(Learner(make(task), **options), make)
+
+
+def go_to(run: Run, step: int) -> None:
+    while run.learner.step < step:
+        run.advance(step - run.learner.step)
+
+
+def assert_same(a: Learner, b: Learner) -> None:
+    """Everything that is to come, and was, is the same, bit for bit."""
+    assert (a.step, a.seed, a.frozen, a.gamma) == (b.step, b.seed, b.frozen, b.gamma)
+    np.testing.assert_array_equal(a.network, b.network)
+    np.testing.assert_array_equal(a.world, b.world)
+
+
+def fresh(run: Run, step: int) -> Learner:
+    """The learner at a step, made from nothing but the task, the seed and the log."""
+    learner = Learner(run.learner.task, topology=run.learner.topology, seed=run.learner.seed)
+    for entry in run.log:
+        if entry.step < step:
+            learner.skip(entry.step - learner.step)
+            entry.change.apply(learner)
+    learner.skip(step - learner.step)
+    return learner
+
+
+CHANGES = [SetBeta(0.9), SetGamma(1e-3), GiveReward(2.0), Freeze(frozen=True), SetBeta(0.5),
+           Freeze(frozen=False), GiveReward(-1.0)]  # fmt: skip
+
+
+def eventful_run(task: str) -> tuple[Run, list[Moment]]:
+    """A run with a change every so often, and moments of it, some between two changes."""
+    run, moments = new_run(task, seed=11), []
+    for k, change in enumerate(CHANGES):
+        go_to(run, 137 * (k + 1))
+        moments.append(run.moment())
+        run.change(change)
+        moments.append(run.moment())
+    go_to(run, 1300)
+    return run, moments
+
+
+@pytest.mark.parametrize("task", ["pendulum", "sonar", "synapse"])
+def test_seed_and_log_make_the_run_again(task: str) -> None:
+    run, _ = eventful_run(task)
+    assert_same(fresh(run, 1300), run.learner)
+
+
+@pytest.mark.parametrize("task", ["pendulum", "sonar", "synapse"])
+def test_a_replay_from_any_moment_is_the_run(task: str) -> None:
+    run, moments = eventful_run(task)
+    for moment in moments:
+        replay = run.replay(moment)
+        for end in (moment.step + 1, (moment.step + 1300) // 2, 1300):
+            while replay.learner.step < end:
+                assert len(replay.advance(end - replay.learner.step).fired) > 0
+            assert_same(replay.learner, fresh(run, end))
+        assert len(replay.advance(10).fired) == 0  # not beyond the run
+        assert_same(replay.learner, run.learner)
+
+
+def test_buttons_are_in_the_log() -> None:
+    run = new_run("synapse")
+    for step, name in enumerate(["Presynaptic spike", "Postsynaptic spike", "Play (a)-(l)"]):
+        go_to(run, 3 * step)
+        run.change(Press(name))
+    go_to(run, 20)
+    assert_same(fresh(run, 20), run.learner)
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_undo_returns_to_the_moment_before(change: Any) -> None:
+    run = new_run()
+    go_to(run, 400)
+    run.change(SetBeta(0.7))
+    go_to(run, 500)
+    before, log = run.learner.keyframe(), list(run.log)
+    curve = run.history.curve()
+    run.change(change)
+    go_to(run, 2000)
+    assert run.undo() == str(change)
+    assert run.log == log == [Logged(400, SetBeta(0.7))]
+    assert_same(run.learner, fresh(run, 500))
+    np.testing.assert_array_equal(run.learner.network, before.network)
+    np.testing.assert_array_equal(run.learner.world, before.world)
+    np.testing.assert_array_equal(run.history.curve().end, curve.end)
+    run.undo()
+    assert (run.learner.step, run.log, run.undo()) == (400, [], None)
+
+
+@pytest.mark.parametrize(
+    "command", [Reset(), Reset(seed=5), Choose("sonar"), Choose("pendulum", "raw", (3,))]
+)
+def test_undo_of_another_run(command: Reset | Choose) -> None:
+    run = new_run(seed=2)
+    run.change(SetGamma(0.05))
+    go_to(run, 1234)
+    at = fresh(run, 1234)
+    run.reset(command) if isinstance(command, Reset) else run.choose(command)
+    assert (run.learner.step, run.log) == (0, [])
+    go_to(run, 99)
+    run.change(SetBeta(0.1))
+    run.undo()
+    run.undo()
+    assert_same(run.learner, at)
+    assert run.log == [Logged(0, SetGamma(0.05))]
+    go_to(run, 1500)
+    assert_same(run.learner, fresh(run, 1500))
+
+
+def test_reset_keeps_what_is_set_and_leaves_a_ghost() -> None:
+    run = new_run(seed=2)
+    run.change(SetBeta(0.6))
+    run.change(Freeze(frozen=True))
+    go_to(run, 5000)
+    run.reset(Reset())
+    learner = run.learner
+    assert (learner.step, learner.seed, learner.beta, learner.frozen) == (0, 2, 0.6, True)
+    assert run.ghost is not None
+    assert run.ghost.steps.sum() == 5000
+    run.reset(Reset(seed=9))
+    assert run.learner.seed == 9
+
+
+def test_a_change_that_fails_leaves_nothing_to_undo() -> None:
+    run = new_run("synapse")
+    with pytest.raises(ValueError, match="no control"):
+        run.change(Press("Fly"))
+    assert run.log == []
+    assert run.undo_words is None
+
+
+# History
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    st.integers(1, 7),
+    st.lists(st.integers(1, 900), min_size=1, max_size=40),
+    st.integers(0, 2**32 - 1),
+)
+def test_windows_sum_to_the_totals(window: int, cuts: list[int], seed: int) -> None:
+    """However the run is cut, no step is lost and none counted twice."""
+    rewards = np.random.default_rng(seed).integers(-3, 4, sum(cuts)).astype(float)
+    history, step = History(window), 0
+
+    def total(n: int) -> Tally:
+        return Tally(n, rewards[:n].sum(), 2 * rewards[:n].sum(), float((rewards[:n] > 2).sum()))
+
+    for cut in cuts:
+        end = step + cut
+        while step < end:
+            step += min(end - step, history.until_edge(step))
+            history.add(total(step))
+    curve = history.curve(total(step))
+    assert len(curve.end) <= CAPACITY + 1
+    assert curve.window % window == 0
+    assert step - (curve.end[-1] if len(curve.end) else 0) <= curve.window / 2
+    for tally, last in zip(curve.tallies(), curve.end, strict=True):
+        assert tally == total(int(last)) - total(int(last) - tally.steps)
+    assert all(s == curve.window for s in curve.steps[:-1])
+
+
+# Watching
+
+
+def drive(run: Run, watch: Watch, steps: int, stretch: int) -> None:
+    """Step the run as the worker does, and tell the watch."""
+    end = run.learner.step + steps
+    while run.learner.step < end:
+        moment = run.moment()
+        watch.note(moment, run.advance(min(stretch, end - run.learner.step)))
+
+
+@pytest.mark.parametrize("stretch", [3, 50, 5000])
+def test_excerpts_are_long_and_true(stretch: int) -> None:
+    """What is shown is what happened, also across a change, and it goes on for a while."""
+    run, watch = new_run(seed=4), Watch()
+    watch.on, watch.speed = True, 10.0
+    drive(run, watch, 1000, stretch)
+    run.change(SetBeta(0.5))
+    seen: dict[int, int] = {}
+    for _ in range(60):
+        drive(run, watch, 15, stretch)
+        played = watch.play(run, 0.5)
+        assert played is not None
+        replay, block = played
+        excerpt = watch.excerpt()
+        assert excerpt is not None
+        assert excerpt.first <= excerpt.now <= excerpt.last
+        assert excerpt.now == replay.learner.step <= run.learner.step
+        seen[excerpt.first] = excerpt.now
+        assert block is not None
+        learner = fresh(run, block.start)
+        for entry in run.log:
+            if entry.step == block.start:
+                entry.change.apply(learner)
+        again = learner.advance(len(block.fired))
+        np.testing.assert_array_equal(again.fired, block.fired)
+        np.testing.assert_array_equal(again.broadcast, block.broadcast)
+        assert_same(learner, replay.learner)
+    played_through = list(seen.items())[:-1]
+    assert played_through
+    assert all(last - first == 80 for first, last in played_through)
+
+
+@pytest.mark.parametrize("stretch", [1, 7, 400])
+def test_the_latest_reward_is_shown(stretch: int) -> None:
+    run, watch = new_run(), Watch()
+    assert not watch.show_reward(run)
+    drive(run, watch, 700, stretch)
+    run.change(GiveReward(1.0))
+    drive(run, watch, 12, stretch)
+    learner, rewarded = Learner(run.learner.task, seed=run.learner.seed), []
+    for entry in run.log:
+        rewarded.extend(np.flatnonzero(learner.advance(entry.step - learner.step).broadcast))
+        entry.change.apply(learner)
+    start = learner.step
+    rewarded.extend(start + np.flatnonzero(learner.advance(712 - start).broadcast))
+    latest = int(rewarded[-1])
+    assert latest >= 700
+    assert watch.show_reward(run)
+    steps, shown = [], None
+    for _ in range(200):
+        played = watch.play(run, 0.1)
+        if played is None:
+            break
+        replay, block = played
+        shown = watch.excerpt()
+        assert shown is not None
+        if block is not None and len(block.fired):
+            steps.extend(range(block.start, block.start + len(block.fired)))
+            assert_same(replay.learner, fresh(run, replay.learner.step))
+    assert shown is not None
+    assert shown.is_reward
+    assert shown.reward_step == latest
+    assert steps == list(range(max(0, latest - LEAD), min(712, latest + TAIL)))
+
+
+# The worker
+
+
+class Bench:
+    """A worker that runs, and its notices."""
+
+    def __init__(self, run: Run) -> None:
+        self.run, self.notices = run, list[str]()
+        self.worker = Worker(run, on_notice=self.notices.append)
+
+    def send(self, *commands: Command) -> None:
+        for command in commands:
+            self.worker.send(command)
+
+    def until(self, condition: Callable[[Picture], bool], seconds: float = 1.0) -> Picture:
+        """The first new picture of which it is true; it must come within a second."""
+        end, number = time.monotonic() + seconds, 0
+        if self.worker.latest is not None:
+            number = self.worker.latest.number
+        while time.monotonic() < end:
+            picture = self.worker.wait_for(number, 0.1)
+            if picture is not None:
+                number = picture.number
+                if condition(picture):
+                    return picture
+        raise AssertionError(f"not within {seconds} s; notices {self.notices}")
+
+    def at_rest(self) -> Picture:
+        self.send(Pause(paused=True))
+        return self.until(lambda p: p.paused)
+
+
+@contextlib.contextmanager
+def bench(run: Run, *commands: Command) -> Iterator[Bench]:
+    run.learner.twin().advance(2)  # compiled before the clock runs
+    it = Bench(run)
+    it.send(*commands)
+    it.worker.start()
+    try:
+        it.until(lambda _: True, 5.0)
+        yield it
+    finally:
+        it.worker.stop()
+        it.worker.join(1.0)
+        assert not it.worker.is_alive()
+
+
+FULL_SPEED = [SetSpeed("max"), SetSpeed(50.0), SetSpeed("realtime")]
+
+
+@pytest.mark.parametrize("speed", FULL_SPEED)
+def test_a_command_acts_soon_and_is_logged(speed: SetSpeed) -> None:
+    with bench(new_run(), speed) as b:
+        for command in (SetBeta(0.5), SetGamma(0.2), Freeze(frozen=True)):
+            b.send(command)
+            picture = b.until(lambda p, c=command: any(e.change == c for e in p.changes))
+        assert (picture.beta, picture.gamma, picture.frozen) == (0.5, 0.2, True)
+        assert picture.undo_words == "learning frozen"
+    assert b.notices == []
+    assert_same(fresh(b.run, b.run.learner.step), b.run.learner)
+
+
+def test_pause_stops_the_counter_and_step_steps_once() -> None:
+    with bench(new_run()) as b:
+        step = b.at_rest().live.step
+        time.sleep(0.3)
+        assert b.until(lambda _: True).live.step == step
+        b.send(StepOnce())
+        picture = b.until(lambda p: p.live.step != step)
+        assert picture.live.step == step + 1
+        assert picture.recent is not None
+        assert picture.recent.start + len(picture.recent.fired) == step + 1
+        b.send(StepOnce(), StepOnce(3))
+        b.until(lambda p: p.live.step == step + 5)
+        time.sleep(0.2)
+        assert b.until(lambda _: True).live.step == step + 5
+        b.send(Pause(paused=False))
+        b.until(lambda p: p.live.step > step + 1000)
+
+
+def test_undo_in_the_worker() -> None:
+    with bench(new_run()) as b:
+        step = b.at_rest().live.step
+        b.send(SetBeta(0.5), Pause(paused=False))
+        b.until(lambda p: p.live.step > step + 1000)
+        b.send(Pause(paused=True), Undo())
+        picture = b.until(lambda p: p.live.step == step)
+        assert (picture.beta, picture.undo_words, list(picture.changes)) == (0.98, None, [])
+        assert_same(fresh(b.run, step), b.run.learner)
+        b.send(Undo())
+        b.until(lambda _: "there is nothing to undo" in b.notices)
+
+
+def test_a_drag_is_one_undo() -> None:
+    with bench(new_run()) as b:
+        before = b.at_rest()
+        for k in range(20):
+            b.send(SetBeta(0.5 + k / 100))
+            time.sleep(0.02)
+        b.send(SetGamma(0.5))
+        assert len(b.until(lambda p: p.gamma == 0.5).changes) == 21
+        b.send(Undo())
+        b.until(lambda p: p.gamma == before.gamma and p.beta == 0.69)
+        b.send(Undo())
+        assert b.until(lambda p: p.beta == before.beta).undo_words is None
+
+
+def test_a_change_after_a_reset_is_its_own_undo() -> None:
+    with bench(new_run(), Pause(paused=True)) as b:
+        b.send(SetBeta(0.5), Reset(), SetBeta(0.6))
+        b.until(lambda p: p.beta == 0.6)
+        b.send(Undo())
+        picture = b.until(lambda p: p.beta == 0.5)
+        assert picture.undo_words == "reset"
+
+
+def test_choose_and_reset_make_another_run() -> None:
+    with bench(new_run()) as b:
+        b.send(Choose("synapse", "script"))
+        picture = b.until(lambda p: p.task_name == "synapse", 20.0)
+        assert (picture.speed, picture.watching) == (1.5, False)
+        b.send(Undo())
+        picture = b.until(lambda p: p.task_name == "pendulum")
+        assert (picture.speed, picture.watching) == ("max", True)
+        b.send(Reset(seed=8))
+        later = b.until(lambda p: p.seed == 8)
+        assert later.ghost is not None
+        assert later.run_number > picture.run_number
+
+
+def test_what_is_asked_wrongly_is_a_notice() -> None:
+    with bench(new_run("sonar")) as b:
+        b.send(SetSpeed("realtime"), Choose("chess"), Press("Fly"), ShowReward())
+        b.until(lambda _: len(b.notices) >= 3)
+        assert b.notices[0].startswith("task 'sonar' has no time but its steps")
+        assert b.notices[1].startswith("there is no task 'chess'")
+        assert b.notices[2].startswith("task 'sonar' has no control 'Fly'")
+        step = b.until(lambda _: True).live.step
+        b.until(lambda p: p.live.step > step)
+
+
+def test_speed_is_what_was_asked_for() -> None:
+    with bench(new_run("synapse"), SetSpeed(50.0)) as b:
+        first = b.until(lambda p: p.live.step > 0)
+        time.sleep(2.0)
+        last = b.until(lambda _: True)
+        made, seconds = last.live.step - first.live.step, last.made_at - first.made_at
+        assert 40 < made / seconds < 60
+        assert 35 < last.steps_per_second < 65
+        b.send(SetSpeed(4.0))
+        time.sleep(1.2)
+        assert 2 < b.until(lambda p: p.steps_per_second > 0).steps_per_second < 6
+        assert b.at_rest().steps_per_second == 0.0
+
+
+def test_a_task_that_raises_pauses_the_run_and_loses_nothing() -> None:
+    with bench(new_run("breaks"), SetSpeed(2000.0)) as b:
+        b.send(SetBeta(0.4))
+        picture = b.until(lambda p: p.error is not None, 5.0)
+        assert picture.paused
+        assert "KeyError" in picture.error
+        assert picture.live.step == 300
+        assert len(b.notices) == 1
+        b.send(Pause(paused=False))
+        b.until(lambda p: len(b.notices) == 2 and p.error is not None and p.paused)
+        assert b.run.learner.step == 300
+        assert_same(b.run.learner, fresh(b.run, 300))
+        b.send(Undo())
+        picture = b.until(lambda p: p.live.step < 300)
+        assert (picture.error, picture.beta) == (None, 0.5)
+        b.send(StepOnce())
+        step = picture.live.step
+        assert b.until(lambda p: p.live.step > step).live.step == step + 1
+
+
+def test_blocks_tell_every_step_that_is_shown() -> None:
+    with bench(new_run(), SetWatch(on=False), SetSpeed(500.0)) as b:
+        number, end, steps = b.worker.latest.number, time.monotonic() + 1.0, 0
+        before: Picture | None = None
+        while time.monotonic() < end:
+            picture = b.worker.wait_for(number, 0.5)
+            assert picture is not None
+            if before is not None and picture.number == before.number + 1:
+                moved = picture.shown.step - before.shown.step
+                assert picture.recent is not None
+                assert picture.recent.start + len(picture.recent.fired) == picture.shown.step
+                assert picture.recent.start <= before.shown.step
+                assert picture.live.since.steps == moved
+                steps += moved
+            before, number = picture, picture.number
+        assert steps > 200
+
+
+def test_watching_at_full_speed_shows_contiguous_excerpts() -> None:
+    with bench(new_run(), SetWatchSpeed(100.0)) as b:
+        b.until(lambda p: p.excerpt is not None)
+        before = None
+        for _ in range(40):
+            picture = b.until(lambda _: True)
+            if before is not None and picture.excerpt.first == before.excerpt.first:
+                skipped = picture.number - before.number - 1
+                moved = picture.shown.step - before.shown.step
+                assert 0 <= moved <= 12 * (skipped + 1)
+                assert picture.recent is not None
+                assert picture.recent.start + len(picture.recent.fired) == picture.shown.step
+            assert picture.shown.step == picture.excerpt.now
+            before = picture
+        assert before.live.step > 10 * before.shown.step or before.live.step > 10_000
+        shown = before.shown
+        at = shown.step
+        again = fresh(b.run, at).frame()
+        for name in ("weight", "trace", "activity", "potential", "draw", "world"):
+            np.testing.assert_array_equal(getattr(again, name), getattr(shown, name))
+
+
+def test_stop_ends_the_thread_soon_at_any_speed() -> None:
+    for speed in FULL_SPEED:
+        with bench(new_run(), speed):
+            pass
+
+
+def test_a_run_that_fails_at_once_raises_what_it_was() -> None:
+    run = new_run("breaks")
+    go_to(run, 300)
+    with pytest.raises(TaskError, match="KeyError"):
+        run.advance(5)
+    assert run.learner.step == 300
