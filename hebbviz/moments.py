@@ -97,8 +97,9 @@ class Frame:
     """The watched lane at the end of a step, and a summary of all steps since the Frame before.
 
     `activity` and `before` (units,) are u of this step and of the one before, `potential`,
-    `probability`, `draw`, `fired` (neurons,), `weight`, `trace` (synapses,), `beta` and `gamma` (projections,; the γ in force, 0 while frozen), `world` the
-    task's state, `reward` the last step's (of the task, as broadcast), `tally` since the start.
+    `probability`, `draw`, `fired` (neurons,), `weight`, `trace` (synapses,), `beta` and
+    `gamma` (projections,; the γ in force, 0 while frozen), `world` the task's state, `reward` the
+    last step's (of the task, as broadcast), `tally` since the start.
     """
 
     step: int

@@ -139,6 +139,8 @@ class Control:
 class Task:
     """A world to learn in. Subclass it; a worked example is in the README.
 
+    One object serves one thread at a time; whoever needs another makes another.
+
     The draws of a restart are others than those of the transition that ended the episode.
 
     Class attributes say what it is; the methods say how it goes. Everything below `outputs` may

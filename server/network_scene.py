@@ -85,6 +85,7 @@ class NetworkScene:
         for label, words in ((self._reward_label, reward), (self._world_label, world)):
             if label.text != words:
                 label.text = words
+                label.visible = bool(words)
 
     # Building
 
@@ -147,6 +148,7 @@ class NetworkScene:
             f"{ROOT}/words", "", position=(0.0, 0.0, top + 0.45 * (1 + self._place.large) + 0.34),
             anchor="bottom-center", font_screen_scale=1.15,
         )  # fmt: skip
+        self._world_label.visible = False
 
     def _add_labels(self, names: tuple[str, ...]) -> None:
         """Names of the groups, and of the inputs where there is room for them."""

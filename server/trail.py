@@ -18,18 +18,21 @@ class Trail:
         self._frames: deque[Frame] = deque(maxlen=FRAMES)
         self.recent: Block | None = None
 
-    def add(self, frame: Frame, block: Block | None = None) -> None:
-        """Append a frame and its steps; after a leap begin anew."""
+    def add(self, frame: Frame) -> None:
+        """Append a frame; after a leap begin anew."""
         if self._frames and frame.step - frame.since.steps != self._frames[-1].step:
-            self.clear()
+            self._frames.clear()
         if frame.since.steps or not self._frames:
             self._frames.append(frame)
         while len(self._frames) * _size(frame) > MOST_BYTES and len(self._frames) > 1:
             self._frames.popleft()
-        if block is not None and len(block.fired):
-            joins = self.recent is not None and self.recent.end == block.start
-            parts = (self.recent, block) if joins and self.recent is not None else (block,)
-            self.recent = join(parts).tail(STEPS)
+
+    def note(self, block: Block) -> None:
+        """Append steps; after a leap begin anew."""
+        parts = [block.tail(STEPS)]
+        if self.recent is not None and self.recent.end == parts[0].start:
+            parts.insert(0, self.recent)
+        self.recent = join(parts).tail(STEPS)
 
     def clear(self) -> None:
         self._frames.clear()

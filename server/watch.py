@@ -89,16 +89,19 @@ class Watch:
         self._start(replay, Excerpt(first, last, first, is_reward=True, reward_step=reward.step))
         return True
 
-    def play(self, run: Run, seconds: float) -> tuple[Replay, Block | None] | None:
+    def play(
+        self, run: Run, seconds: float, *, go_on: bool = True
+    ) -> tuple[Replay, Block | None] | None:
         """Move the excerpt on by a stretch of time; None if nothing is being played.
 
-        Returns the replay and the block of the steps it took, if any.
+        At its end another begins if it is to `go_on`. Returns the replay and the block of the
+        steps it took, if any.
         """
         if self._replay is not None and not self._replay.is_of(run):
             self.clear()
         if self._is_over():
             self._replay = None
-            if self.on and self._moments:
+            if self.on and go_on and self._moments:
                 self._leap(run)
         if self._replay is None:
             return None
@@ -111,6 +114,10 @@ class Watch:
         block = self._replay.advance(steps)
         self._owed -= len(block.fired)
         return self._replay, block
+
+    def rest(self) -> None:
+        """Play nothing for now."""
+        self._replay = None
 
     def excerpt(self) -> Excerpt | None:
         if self._replay is None:

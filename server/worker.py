@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from hebbviz.learner import TaskError
-from hebbviz.moments import Block, Frame, join
+from hebbviz.moments import Block, Frame
 from hebbviz.task import Task
 from server.commands import (
     MAX,
@@ -52,8 +52,6 @@ STRETCH_SECONDS = 0.012
 LONGEST_STRETCH = 200_000
 MOST_OWED_SECONDS = 0.25
 """A run that cannot keep up with its speed does not save up more than this."""
-MOST_BLOCKS = 64
-"""Blocks kept for the next picture; more are made only when a picture is late."""
 SLOW_STRETCHES = 5
 """Stretches over which the speed is measured where a second has fewer."""
 SAME_GESTURE_SECONDS = 0.7
@@ -116,8 +114,7 @@ class Worker(threading.Thread):
         self._single_steps = 0
         self._stretch = 16
         self._steps_made: list[tuple[float, int]] = []
-        self._blocks: list[Block] = []
-        self._shown_trail, self._live_trail = Trail(), Trail()
+        self._excerpt_trail, self._live_trail = Trail(), Trail()
         self._last_change: tuple[type[object], float] = (object, 0.0)
         self._number = self._run_number = 0
         self._error: str | None = None
@@ -195,7 +192,7 @@ class Worker(threading.Thread):
             return
         done = len(block.fired)
         self._watch.note(moment, block)
-        self._blocks = self._blocks[-MOST_BLOCKS:] + [block]
+        self._live_trail.note(block)
         self._owed = max(0.0, self._owed - done)
         self._single_steps = max(0, self._single_steps - done)
         self._steps_made.append((began, done))
@@ -221,7 +218,6 @@ class Worker(threading.Thread):
 
     def _stop_run(self, error: str) -> None:
         """Pause with an error to be shown; the run is at its last good step."""
-        self._blocks = []  # the steps before the failure are in no block: what follows is new
         self._error = error
         self._paused, self._single_steps = True, 0
         self._notice(error)
@@ -310,8 +306,7 @@ class Worker(threading.Thread):
         """After the run became another: forget what belonged to the one before."""
         self._evaluator.forget(keep_evaluations_to)
         self._watch.clear()
-        self._blocks = []
-        self._shown_trail.clear()
+        self._excerpt_trail.clear()
         self._live_trail.clear()
         self._owed, self._single_steps, self._error = 0.0, 0, None
         self._stretch = 16
@@ -327,9 +322,8 @@ class Worker(threading.Thread):
         moves = bool(live.since.steps) and evaluates_by_itself(learner)
         if moves and self._evaluator.is_free():
             self._evaluate()
-        shown, block = self._what_is_shown(live, seconds)
         self._live_trail.add(live)
-        self._shown_trail.add(shown, block)
+        shown, trail = self._what_is_shown(live, seconds)
         picture = Picture(
             number=self._number + 1,
             made_at=time.monotonic(),
@@ -341,8 +335,8 @@ class Worker(threading.Thread):
             frozen=learner.frozen,
             live=live,
             shown=shown,
-            recent=self._shown_trail.recent,
-            shown_trail=self._shown_trail.frames,
+            recent=trail.recent,
+            shown_trail=trail.frames,
             live_trail=self._live_trail.frames,
             excerpt=self._watch.excerpt(),
             curve=self._run.history.curve(live.tally),
@@ -363,16 +357,19 @@ class Worker(threading.Thread):
             self._picture = picture
             self._fresh.notify_all()
 
-    def _what_is_shown(self, live: Frame, seconds: float) -> tuple[Frame, Block | None]:
+    def _what_is_shown(self, live: Frame, seconds: float) -> tuple[Frame, Trail]:
         """The excerpt's frame while one plays and the run is too fast to be seen, else `live`."""
         if self._watch.in_slow_motion or (self._is_too_fast() and not self._paused):
-            played = self._watch.play(self._run, seconds)
+            played = self._watch.play(self._run, seconds, go_on=not self._paused)
             if played is not None:
                 replay, block = played
-                self._blocks = []  # of the live run, which is not shown
-                return replay.learner.frame(), block
-        blocks, self._blocks = self._blocks, []
-        return live, join(blocks) if blocks else None
+                shown = replay.learner.frame()
+                self._excerpt_trail.add(shown)
+                if block is not None:
+                    self._excerpt_trail.note(block)
+                return shown, self._excerpt_trail
+        self._watch.rest()
+        return live, self._live_trail
 
     def _is_too_fast(self) -> bool:
         rate = self._rate()

@@ -88,7 +88,8 @@ def assert_same(a: Learner, b: Learner) -> None:
 
 def fresh(run: Run, step: int) -> Learner:
     """The learner at a step, made from nothing but the task, the seed and the log."""
-    learner = Learner(run.learner.task, topology=run.learner.topology, seed=run.learner.seed)
+    task = run.make_task(run.task_name, run.learner.task.preset_name)
+    learner = Learner(task, topology=run.learner.topology, seed=run.learner.seed)
     for entry in run.log:
         if entry.step < step:
             learner.skip(entry.step - learner.step)
