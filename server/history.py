@@ -12,6 +12,7 @@ from hebbviz.task import Tally
 Array = NDArray[np.float64]
 
 CAPACITY = 512
+BEGINNING = Tally(0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -36,9 +37,10 @@ class Curve:
 class History:
     """Totals at the edges of equal windows; when there are too many, two become one."""
 
-    def __init__(self, window: int) -> None:
+    def __init__(self, window: int, start: Tally = BEGINNING) -> None:
+        """Windows of at least `window` steps, from the totals at the `start`."""
         self.window = window
-        self._edges = [Tally(0, 0.0, 0.0, 0.0)]
+        self._edges = [start]
 
     def until_edge(self, step: int) -> int:
         """How many steps may be run before `add` must be called."""
@@ -51,7 +53,8 @@ class History:
         self._edges.append(total)
         if len(self._edges) > CAPACITY:
             self.window *= 2
-            self._edges = [t for t in self._edges if t.steps % self.window == 0]
+            first, *rest = self._edges
+            self._edges = [first, *(t for t in rest if t.steps % self.window == 0)]
 
     def copy(self) -> History:
         other = History(self.window)

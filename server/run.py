@@ -164,9 +164,8 @@ class Replay:
 
 def _new_history(learner: Learner) -> History:
     task = learner.task
-    if task.natural_speed is not None:
-        return History(1)
-    return History(round(10.0 / task.dt) if task.dt else 1000)
+    window = round(10.0 / task.dt) if task.dt else 1000
+    return History(1 if task.natural_speed is not None else window, learner.tally())
 
 
 __all__ = ["MakeTask", "Moment", "Replay", "Run", "TaskError"]
