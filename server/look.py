@@ -19,7 +19,7 @@ WIDTH, LAYER = 4.4, 1.55
 """Extent of the widest layer and distance between layers, in scene units."""
 ROW_OF_NEURONS, ROW_OF_INPUTS = 24, 64
 """Larger groups are laid out in several rows, one behind the other."""
-LARGEST_RADIUS = 0.17
+LARGEST_RADIUS = 0.2
 MOST_SYNAPSES_DRAWN = 1200
 THICKEST, THINNEST = 0.055, 0.008
 TALLEST_TRACE = 0.45

@@ -126,7 +126,7 @@ class NetworkScene:
             "synapses", shapes.tube(), middle, hidden, theme.idle, turns=turns
         )
         self._changes = self._batch(
-            "changes", shapes.tube(), middle, hidden, palette.REWARD, 0.45, turns=turns
+            "changes", shapes.tube(), middle, hidden, palette.REWARD, 0.6, turns=turns
         )
         self._traces = self._batch("traces", shapes.box(), self._trace_base, hidden, theme.idle)
         for handle in (self._tubes, self._traces):
@@ -148,7 +148,7 @@ class NetworkScene:
             f"{ROOT}/words", "", position=(0.0, 0.0, top + 0.45 * (1 + self._place.large) + 0.34),
             anchor="bottom-center", font_screen_scale=1.15,
         )  # fmt: skip
-        self._world_label.visible = False
+        self._reward_label.visible = self._world_label.visible = False
 
     def _add_labels(self, names: tuple[str, ...]) -> None:
         """Names of the groups, and of the inputs where there is room for them."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
+import warnings
 from collections import deque
 from typing import Any
 
@@ -31,11 +32,15 @@ TEXT_SECONDS = 0.2
 RESELECT_SECONDS = 3.0
 """How often the largest synapses of a large network are chosen anew."""
 NOTICE_SECONDS = 6.0
+WHOLE_ASPECT = 0.8
+"""Width by height of a window in which a view is whole; a narrower one looks from further away."""
+CAMERA_SECONDS = 0.7
+"""A page that has just opened is still going to its initial camera."""
 THEME_SECONDS = 0.6
 """A page takes a while to change its theme; charts that are made meanwhile lose their axes."""
 
 NETWORK_ALONE = (0.0, 0.0, 0.0)
-NETWORK_OVER_WORLD = (0.0, 2.4, 2.75)
+NETWORK_OVER_WORLD = (0.0, 1.9, 2.75)
 WORLD_AT = (0.0, 0.0, 0.0)
 
 
@@ -109,7 +114,7 @@ class Page:
         above.set_width(348)
         below.dock_below(above)
         self._rebuild(picture)
-        server.on_client_connect(self._connected)
+        server.on_client_connect(self._welcome)
         server.on_client_disconnect(self._disconnected)
 
     def _build_view(self, gui: viser.GuiApi) -> None:
@@ -164,6 +169,12 @@ class Page:
 
     # Tabs
 
+    def _welcome(self, client: viser.ClientHandle) -> None:
+        self._connected(client)
+        if client.camera.aspect < WHOLE_ASPECT:
+            time.sleep(CAMERA_SECONDS)
+            self._look_at(client, "overview")
+
     def _connected(self, client: viser.ClientHandle) -> None:
         with self._lock:
             old = self._inspectors.pop(client.client_id, None)
@@ -205,7 +216,9 @@ class Page:
                 self._network.draw(self._looks.look(picture.shown))
                 pose = picture.task.pose(picture.shown.world)
                 alone = not picture.task.props
-                self._pulse.follow(picture.shown, self._network, pose.words if alone else "")
+                said = pose.words if alone else ""
+                still = picture.paused and picture.excerpt is None
+                self._pulse.follow(picture.shown, self._network, said, still=still)
                 if not alone:
                     self._world.draw(pose)
                 self._panels.draw(picture)
@@ -228,8 +241,10 @@ class Page:
             picture, self._pictures_per_second(), time.monotonic() - picture.made_at,
             len(self._server.get_clients()),
         )  # fmt: skip
-        for inspector in self._inspectors.values():
-            inspector.draw(picture)
+        with warnings.catch_warnings():  # a tab may close at any time; nothing is lost by that
+            warnings.filterwarnings("ignore", message=".*closed connection")
+            for inspector in self._inspectors.values():
+                inspector.draw(picture)
         self._ask_probes()
 
     def _ask_probes(self) -> None:
@@ -269,11 +284,14 @@ class Page:
         self._server.initial_camera.look_at = target
 
     def _look_at(self, client: viser.ClientHandle, view: str) -> None:
-        if self._worker is not None and self._worker.latest is not None:
-            position, target = self._view(view, self._worker.latest)
-            with client.atomic():
-                client.camera.position = position
-                client.camera.look_at = target
+        """Turn one tab's camera, from further away where the window is narrow."""
+        if self._worker is None or self._worker.latest is None:
+            return
+        position, target = (np.array(p) for p in self._view(view, self._worker.latest))
+        back = float(np.clip(WHOLE_ASPECT / client.camera.aspect, 1.0, 3.0))
+        with client.atomic():
+            client.camera.position = target + back * (position - target)
+            client.camera.look_at = target
 
     def _view(self, view: str, picture: Picture) -> tuple[Any, Any]:
         """Camera position and target."""
@@ -284,7 +302,7 @@ class Page:
             return tuple(middle + (0.0, -away, 0.3)), tuple(middle)
         if view == "world":
             return (0.0, -4.6, 2.9), (0.0, 0.0, 0.4)
-        return (0.0, -7.9, 4.5), (0.0, 0.4, 2.25)
+        return (0.0, -6.3, 3.5), (0.0, 0.4, 2.2)
 
 
 def _network_at(picture: Picture) -> tuple[float, float, float]:

@@ -33,14 +33,18 @@ class Pulse:
         self._change = np.zeros(synapses)
         self._hidden = True
 
-    def follow(self, frame: Frame, scene: NetworkScene, world: str) -> None:
-        """Advance by one picture; `world` is said over the network too."""
+    def follow(self, frame: Frame, scene: NetworkScene, world: str, *, still: bool) -> None:
+        """Advance by one picture; `world` is said over the network too.
+
+        While nothing moves (`still`) the pulse ends, but what the reward changed stays to be seen.
+        """
         if frame.since.steps:
             scene.say(self._words(frame), world)
         if 0 < frame.since.steps <= FEW_STEPS and frame.since.tally.broadcast != 0.0:
             self._arrive(frame)
-        self._since_reward += 1
         self._pulse_age += 1
+        if not still or self._since_reward < AFTERGLOW_PICTURES // 3:
+            self._since_reward += 1
         self._draw(scene)
 
     def _arrive(self, frame: Frame) -> None:
@@ -76,7 +80,7 @@ class Pulse:
             largest = float(np.abs(since.weight_change).max(initial=0.0))
             return f"r = {since.tally.broadcast:+g}: Δw = γ r z, at most {largest:.1e}"
         if self._since_reward > AFTERGLOW_PICTURES:
-            return "r = 0"
+            return ""
         largest = float(np.abs(self._change).max(initial=0.0))
         sign = "+" if self._color == palette.REWARD else "−"
         return f"r {sign}: Δw at most {largest:.1e}"
