@@ -20,8 +20,9 @@ Points = tuple[Array, Array]
 Span = tuple[float, float]
 
 HEIGHT = 132
-SHRINK = 0.04
-"""A vertical axis is made smaller when the curves would do with this share of it."""
+SHRINK = 0.2
+SHRINK_DRAWINGS = 40
+"""A vertical axis is made smaller when the curves did with this share of it so many times."""
 ROOM = 0.25
 """Left free above and below, as a share of the curves' height, so that they seldom leave."""
 MARK_HEIGHT = 0.03
@@ -65,6 +66,7 @@ class Chart:
         )
         self._holds = span is not None
         self._span = span or (0.0, 1.0)
+        self._small_for = 0
         self._plot: Any = None
         blank = [np.full(2, np.inf)] * (len(self._series) - 1)
         self._add((np.array([0.0, 1.0]), *blank), None)
@@ -104,9 +106,11 @@ class Chart:
         low, high = float(values.min()), float(values.max())
         wanted = _around(low, high)
         fits = self._span[0] <= low and high <= self._span[1]
-        if fits and _width(wanted) >= SHRINK * _width(self._span):
+        small = _width(wanted) < SHRINK * _width(self._span)
+        self._small_for = self._small_for + 1 if small else 0
+        if fits and self._small_for < SHRINK_DRAWINGS:
             return True
-        self._span = wanted
+        self._span, self._small_for = wanted, 0
         return False
 
     def _add(self, data: tuple[Array, ...], order: float | None) -> None:
@@ -117,8 +121,9 @@ class Chart:
         with self._container:
             self._plot = self._gui.add_uplot(
                 data, self._series, title=self._title, scales=scales, height=self._height,
-                legend={"show": self._legend, "live": False}, axes=({"size": 28}, {"size": 62}),
-                padding=(8, 12, 0, 0), cursor={"show": False}, order=order,
+                legend={"show": self._legend, "live": False},
+                axes=({"size": 38, "space": 75}, {"size": 62}), padding=(8, 24, 0, 0),
+                cursor={"show": False}, order=order,
             )  # fmt: skip
 
 

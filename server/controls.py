@@ -7,6 +7,8 @@ makes a command; a value that is refused is said in a notice and the widget goes
 from __future__ import annotations
 
 import math
+import re
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -45,8 +47,10 @@ SHORTEST, LONGEST = 0.0, 4.0
 """Ends of the memory slider, log10 of 1/(1−β): 1 to 10 000 steps."""
 LEAST_GAMMA, GREATEST_GAMMA = -8.0, -1.0
 """Ends of the step size slider, log10 of γ."""
-QUIET_SECONDS = 0.6
+QUIET_SECONDS = 1.2
 """A widget that was just moved by hand is not set back to the run's value before this."""
+TYPING_SECONDS = 0.6
+"""A typed value that may be only a beginning is taken when nothing was typed for so long."""
 SPEEDS = ("1", "2", "5", "10", "25", "50", "100", "1000", "10000")
 
 Send = Callable[[Command], None]
@@ -59,6 +63,7 @@ class Controls:
     def __init__(self, gui: viser.GuiApi, send: Send, notify: Notify, seed: int) -> None:
         self._gui, self._send, self._notify = gui, send, notify
         self._touched: dict[int, float] = {}
+        self._waiting: dict[int, threading.Timer] = {}
         self._task_buttons: list[Any] = []
         self._task_keys: list[Any] = []
         self._shown_task: tuple[str, str] | None = None
@@ -121,9 +126,9 @@ class Controls:
             hint="γ, logarithmic",
         )  # fmt: skip
         self.frozen = gui.add_checkbox("freeze learning", False, hint="F: γ is remembered")
-        self._when(self.beta, lambda v: SetBeta(float(v)))
+        self._when(self.beta, lambda v: SetBeta(float(v)), unfinished=lambda v: v == 0)
         self._when(self.memory, lambda v: SetBeta(round(1.0 - 10.0**-v, 6)))
-        self._when(self.gamma, self._set_typed_gamma)
+        self._when(self.gamma, self._set_typed_gamma, unfinished=_may_go_on)
         self._when(self.step_size, lambda v: SetGamma(float(f"{10.0**v:.3g}")))
         self._when(self.frozen, lambda v: Freeze(bool(v)))
 
@@ -166,8 +171,8 @@ class Controls:
         self.new_seed = gui.add_button("New seed", icon=viser.Icon.DICE_5)
         self.hidden = gui.add_text("hidden", "8", hint="sizes of the hidden layers: 16 or 8,8")
         self._when(self.typed_speed, lambda v: SetSpeed(float(v)))
-        self._when(self.seed, lambda v: Reset(seed=int(v)))
-        self._when(self.hidden, self._choose_hidden)
+        self._when(self.seed, lambda v: Reset(seed=int(v)), unfinished=lambda _: True)
+        self._when(self.hidden, self._choose_hidden, unfinished=lambda _: True)
         self._press(self.new_seed, lambda: Reset(seed=(int(self.seed.value) + 1) % LARGEST_SEED))
 
     def _build_keys(self) -> None:
@@ -242,8 +247,8 @@ class Controls:
         _set(self.undo, "label", undo)
         _set(self.undo, "disabled", picture.undo_words is None)
         self._put(self.seed, picture.seed)
-        hidden = [g.size for g in picture.live.topology.neuron_groups][:-1]
-        self._put(self.hidden, ",".join(map(str, hidden)) or "none")
+        _set(self.hidden, "disabled", type(picture.task).topology is not Task.topology)
+        self._put(self.hidden, ",".join(map(str, _hidden(picture))) or "none")
         speed = picture.speed if isinstance(picture.speed, str) else f"{picture.speed:g}"
         choices = (MAX, *((REALTIME,) if picture.task.dt else ()), *SPEEDS)
         if speed not in choices:
@@ -267,14 +272,35 @@ class Controls:
 
     # Small things
 
-    def _when(self, handle: Any, command: Callable[[Any], Command | None]) -> None:
-        """Send what `command` makes of a widget's new value, when a page changed it."""
+    def _when(
+        self,
+        handle: Any,
+        command: Callable[[Any], Command | None],
+        *,
+        unfinished: Callable[[Any], bool] = lambda _: False,
+    ) -> None:
+        """Send what `command` makes of a widget's new value, when a page changed it.
+
+        A value may be `unfinished`: a page sends every key that is typed, and a 1 may become 1e-3.
+        Such a value waits until nothing more is typed.
+        """
+
+        def act() -> None:
+            self._try(lambda: command(handle.value))
 
         def changed(event: Any) -> None:
             if event.client is None:
                 return
             self._touched[id(handle)] = time.monotonic()
-            self._try(lambda: command(handle.value))
+            waiting = self._waiting.pop(id(handle), None)
+            if waiting is not None:
+                waiting.cancel()
+            if unfinished(handle.value):
+                self._waiting[id(handle)] = timer = threading.Timer(TYPING_SECONDS, act)
+                timer.daemon = True
+                timer.start()
+            else:
+                act()
 
         if isinstance(handle, viser.GuiButtonGroupHandle):
             handle.on_click(changed)
@@ -311,8 +337,7 @@ class Controls:
     def _choose_hidden(self, text: str) -> Command | None:
         sizes = parse_hidden(text)
         picture = self._of_picture()
-        current = [g.size for g in picture.live.topology.neuron_groups][:-1]
-        if list(sizes) == current:
+        if list(sizes) == _hidden(picture):
             return None
         return Choose(picture.task_name, picture.task.preset_name, sizes)
 
@@ -322,6 +347,18 @@ class Controls:
         except ValueError:
             raise ValueError(f"gamma must be a number such as 1e-3, got {text[:40]!r}") from None
         return SetGamma(gamma)
+
+
+def _hidden(picture: Picture) -> list[int]:
+    """Sizes of the hidden layers; a task with a network of its own has none."""
+    if type(picture.task).topology is not Task.topology:
+        return []
+    return [g.size for g in picture.live.topology.neuron_groups][:-1]
+
+
+def _may_go_on(text: str) -> bool:
+    """Whether a typed γ may be only the beginning of one: 1, or 1e-, but not 0.01 or 1e-3."""
+    return re.fullmatch(r"\s*\d*\.\d+\s*|\s*[\d.]+[eE]-?\d+\s*", text) is None
 
 
 def _set(handle: Any, name: str, value: Any) -> None:

@@ -103,7 +103,6 @@ class NetworkScene:
             places = self._place.units[: self._inputs]
             wide = 2 * self._place.radius[: self._inputs]
             plates = np.stack([wide, wide, np.full(len(wide), 0.02)], axis=1)
-            self._batch("input plates", shapes.box(), places, plates, theme.idle)
             zero = places + (0.0, 0.0, INPUT_BASE)
             self._batch("input zeros", shapes.box(), zero, plates, theme.world_strong)
             self._levels = self._batch("inputs", shapes.box(), places, plates, theme.idle)
@@ -136,7 +135,7 @@ class NetworkScene:
         top = self._place.units[:, 2].max()
         self._pulse = self._batch(
             "pulse", shapes.sphere(3), self._place.middle[None], np.zeros((1, 3)), palette.REWARD,
-            0.16,
+            0.1,
         )  # fmt: skip
         self._reward_label = self._scene.add_label(
             f"{ROOT}/reward",

@@ -44,6 +44,15 @@ NETWORK_OVER_WORLD = (0.0, 1.9, 2.75)
 WORLD_AT = (0.0, 0.0, 0.0)
 
 
+GONE = """<style>
+.gone { display: none; margin: 0 0.75em 0.5em; padding: 0.5em 0.75em; border-radius: 4px;
+        background: #b00020; color: white; font-weight: 600; }
+[style*="pointer-events: none"] .gone { display: block; }
+</style><div class="gone">The server is gone: this picture is the last one. Start hebbviz again
+and this page will go on by itself.</div>"""
+"""viser's page makes its panels deaf when it loses the server; that is when this is shown."""
+
+
 class Page:
     """Draws a worker's run on a viser server until told to stop."""
 
@@ -98,6 +107,7 @@ class Page:
             )
         gui.main_panel.dock_right()
         gui.main_panel.set_width(340)
+        gui.add_html(GONE)
         self._status = gui.add_markdown("")
         self._warning = gui.add_markdown("", visible=False)
         self._controls = Controls(gui, worker.send, self.notify, picture.seed)
@@ -172,6 +182,7 @@ class Page:
     def _welcome(self, client: viser.ClientHandle) -> None:
         self._connected(client)
         if client.camera.aspect < WHOLE_ASPECT:
+            client.gui.main_panel.minimize()
             time.sleep(CAMERA_SECONDS)
             self._look_at(client, "overview")
 
@@ -298,7 +309,7 @@ class Page:
         where = place(picture.live.topology)
         middle = where.middle + _network_at(picture) + (0.0, 0.0, -0.1)
         if view == "network" or not picture.task.props:
-            away = 1.6 + 0.95 * float(np.ptp(where.units, axis=0).max())
+            away = 1.3 + 0.8 * float(np.ptp(where.units, axis=0).max())
             return tuple(middle + (0.0, -away, 0.3)), tuple(middle)
         if view == "world":
             return (0.0, -4.6, 2.9), (0.0, 0.0, 0.4)

@@ -89,7 +89,7 @@ class Run:
             first_lane=old.first_lane,
         )  # fmt: skip
         fresh.freeze(old.frozen)
-        self._remember("reset" if command.seed is None else f"seed {command.seed}")
+        self._remember("reset" if command.seed is None else f"new seed {command.seed}")
         ghost = self.history.curve(old.tally())
         self._begin(fresh, self.task_name, ghost if len(ghost.end) else self.ghost)
 
@@ -97,7 +97,7 @@ class Run:
         """Another task, preset or network, with the preset's β and γ."""
         task = self.make_task(command.task, command.preset)
         fresh = Learner(task, hidden=command.hidden, seed=self.learner.seed)
-        self._remember(f"{command.task} {task.preset_name}")
+        self._remember(f"choosing {command.task}, {task.preset_name}")
         self._begin(fresh, command.task, None)
 
     def undo(self) -> str | None:

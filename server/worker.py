@@ -157,8 +157,10 @@ class Worker(threading.Thread):
                     next_picture = max(next_picture, time.monotonic() - 0.1)
                     next_picture += 1.0 / PICTURES_PER_SECOND
             except Exception as error:  # the page must say what stopped the run
-                traceback.print_exc()
-                self._stop_run(f"{type(error).__name__}: {error}")
+                said = f"{type(error).__name__}: {error}"
+                if said != self._error:
+                    traceback.print_exc()
+                    self._stop_run(said)
                 self._stopping.wait(0.2)  # what fails on and on must not take the machine
 
     def _idle(self) -> bool:

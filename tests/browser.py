@@ -1,0 +1,148 @@
+"""A real browser for the tests and the screenshots: Playwright's own Chromium, or the system's."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+from playwright.sync_api import Browser, Locator, Page, Playwright, sync_playwright
+
+SYSTEM_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+FLAGS = (
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+    "--disable-renderer-backgrounding",  # two tabs are looked at, of which one is in front
+    "--disable-background-timer-throttling",
+    "--disable-backgrounding-occluded-windows",
+)
+PATIENCE = 30_000.0
+"""Milliseconds; software WebGL on a shared core is slow."""
+
+
+class NoBrowser(RuntimeError):
+    """There is no Chromium on this machine."""
+
+
+@contextmanager
+def open_browser() -> Iterator[Browser]:
+    """A headless Chromium; raises NoBrowser where there is none."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=find(playwright), args=list(FLAGS))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+@contextmanager
+def browser_or_skip() -> Iterator[Browser]:
+    """As `open_browser`, but skips the test where there is no browser; in CI that is a failure."""
+    try:
+        with open_browser() as browser:
+            yield browser
+    except NoBrowser as error:
+        _do_without(str(error))
+
+
+def find(playwright: Playwright) -> str:
+    """Path of a Chromium."""
+    own = playwright.chromium.executable_path
+    if Path(own).exists():
+        return own
+    for name in SYSTEM_BROWSERS:
+        if (path := shutil.which(name)) is not None:
+            return path
+    raise NoBrowser("no Chromium: apt-get install chromium, or playwright install chromium")
+
+
+def _do_without(reason: str) -> NoReturn:
+    if os.environ.get("CI", "").lower() not in ("", "0", "false"):
+        pytest.fail(f"{reason} (in CI the browser tests must run)")
+    pytest.skip(reason)
+
+
+# On the page
+
+
+def load(
+    browser: Browser, address: str, *, width: int, height: int, sharpness: float = 0.5
+) -> Page:
+    """A tab with the page, once it shows what runs and viser's notice of slow graphics is gone.
+
+    `sharpness` is how many pixels of the scene are drawn for one of the screen: few are fast.
+    """
+    context = browser.new_context(viewport={"width": width, "height": height})
+    context.set_default_timeout(PATIENCE)
+    page = context.new_page()
+    page.goto(f"{address}/?fixedDpr={sharpness}", wait_until="domcontentloaded")
+    page.locator("canvas").first.wait_for()
+    page.get_by_text(re.compile("hebbviz")).first.wait_for()
+    page.wait_for_function("document.body.textContent.includes('steps/s')")
+    dismiss(page, "Software WebGL")
+    return page
+
+
+def dismiss(page: Page, text: str) -> None:
+    """Close the notices that say `text`."""
+    notices = page.locator(".mantine-Notification-root", has_text=text)
+    while notices.count():
+        count = notices.count()
+        notices.first.get_by_role("button").click()
+        page.wait_for_function(
+            "([text, n]) => [...document.querySelectorAll('.mantine-Notification-root')]"
+            ".filter(e => e.textContent.includes(text)).length < n",
+            arg=[text, count],
+        )
+
+
+def row(page: Page, label: str) -> Locator:
+    """The row of a widget: its label, and beside it what is set."""
+    return page.locator(f"div.mantine-Flex-root:has(> div label:text-is('{label}'))")
+
+
+def field(page: Page, label: str) -> Locator:
+    """What is typed into."""
+    return row(page, label).locator("input:not([type=hidden])").last
+
+
+def choose(page: Page, label: str, option: str) -> None:
+    """Choose from a drop-down list."""
+    page.keyboard.press("Escape")
+    field(page, label).click()
+    page.get_by_role("option", name=option, exact=True).locator("visible=true").first.click()
+
+
+def slide(page: Page, label: str, key: str, times: int = 1) -> None:
+    """Move a slider with an arrow key."""
+    thumb = row(page, label).get_by_role("slider")
+    for _ in range(times):
+        thumb.press(key)
+
+
+def press(page: Page, name: str) -> None:
+    """Press a button whose name begins with `name`."""
+    page.get_by_role("button", name=re.compile(f"^{re.escape(name)}")).first.click()
+
+
+def text_of(page: Page) -> str:
+    """All that can be read on the page."""
+    said: str = page.evaluate("document.body.innerText")
+    return said
+
+
+def eventually(page: Page, condition: Callable[[], object], seconds: float = 20.0) -> None:
+    """Wait until `condition` holds, while the page goes on."""
+    for _ in range(round(seconds / 0.02)):
+        if condition():
+            return
+        page.wait_for_timeout(20)
+    raise AssertionError(f"waited {seconds} s in vain; the page says:\n{text_of(page)}")

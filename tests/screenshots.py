@@ -1,0 +1,140 @@
+"""Pictures of the page, made by a real browser.
+
+python tests/screenshots.py                # docs/page.png, for the README
+python tests/screenshots.py --all FOLDER   # each task, light and dark, wide and narrow
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from playwright.sync_api import Page
+
+ROOT = Path(__file__).parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+
+from browser import choose, dismiss, field, load, open_browser  # noqa: E402
+from raw_client import wait_until  # noqa: E402
+
+from hebbviz.learner import Learner  # noqa: E402
+from server.app import Site  # noqa: E402
+from server.commands import Choose, Command, Pause, Press  # noqa: E402
+from server.worker import Picture, Worker  # noqa: E402
+from sims import TASKS  # noqa: E402
+from sims.loading import make_task  # noqa: E402
+
+PAGE = ROOT / "docs" / "page.png"
+WIDE, NARROW = (1600, 900), (390, 844)
+LEARNING_SECONDS = 25.0
+"""After so long the pendulum mostly stands, and its curve has a shape."""
+DRAWN_SECONDS = 2.0
+"""A browser without a graphics card needs so long to show what has just changed."""
+
+
+@contextmanager
+def serving(task: str) -> Iterator[tuple[str, Worker]]:
+    """A page of a task that runs from step 0: its address, and the worker."""
+    learner = Learner(make_task(task), seed=0)
+    site = Site(learner, host="127.0.0.1", port=0, speed=None, task_name=None)
+    stop = threading.Event()
+    thread = threading.Thread(target=lambda: site.run(stop, open_browser=False), daemon=True)
+    thread.start()
+    try:
+        wait_until(lambda: site._worker is not None and site._worker.latest is not None, 60.0)
+        assert site._worker is not None
+        yield site.address, site._worker
+    finally:
+        stop.set()
+        thread.join(10.0)
+
+
+def picture(worker: Worker) -> Picture:
+    latest = worker.latest
+    assert latest is not None
+    return latest
+
+
+def is_clear(shown: Picture) -> bool:
+    """The pole leans a little, all is well within the arena, and both kinds of neuron are seen."""
+    x, y, *_ = shown.shown.world
+    fired = shown.shown.fired
+    return abs(x) < 0.6 and abs(y) < 0.6 and 0 < fired.sum() < len(fired)
+
+
+def wait_for_a_clear_moment(worker: Worker, seconds: float = 15.0) -> None:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end and not is_clear(picture(worker)):
+        time.sleep(0.02)
+
+
+def tidy(page: Page) -> None:
+    """Lists scrolled up, the mouse aside, no notices."""
+    dismiss(page, "Software WebGL")
+    page.mouse.move(5, 5)
+    page.evaluate("document.querySelectorAll('*').forEach(e => { e.scrollTop = 0 })")
+
+
+def shoot(page: Page, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=path)
+    sys.stdout.write(f"{path}\n")
+    sys.stdout.flush()
+
+
+def make_page_picture() -> None:
+    """The pendulum after a while of learning, with Watch on."""
+    with serving("pendulum") as (address, worker), open_browser() as browser:
+        began = time.monotonic()
+        page = load(browser, address, width=WIDE[0], height=WIDE[1], sharpness=1.0)
+        tidy(page)
+        page.wait_for_timeout(max(0.0, 1000 * (LEARNING_SECONDS - time.monotonic() + began)))
+        wait_for_a_clear_moment(worker)
+        shoot(page, PAGE)
+
+
+def something_to_see(task: str) -> list[Command]:
+    """What makes a task show something by itself."""
+    return [Press("Play (a)-(l)")] if task == "synapse" else []
+
+
+def make_all(folder: Path) -> None:
+    """Each task in both themes and both sizes."""
+    with serving("pendulum") as (address, worker), open_browser() as browser:
+        for size, (width, height) in (("wide", WIDE), ("narrow", NARROW)):
+            page = load(browser, address, width=width, height=height, sharpness=1.0)
+            for task in TASKS:
+                for command in (Choose(task), *something_to_see(task), Pause(paused=False)):
+                    worker.send(command)
+                wait_until(lambda task=task: picture(worker).task_name == task, 20.0)
+                page.wait_for_timeout(8000)
+                for theme in ("light", "dark"):
+                    set_theme(page, theme)
+                    tidy(page)
+                    page.wait_for_timeout(1000 * DRAWN_SECONDS)
+                    shoot(page, folder / f"{task}-{theme}-{size}.png")
+            page.context.close()
+
+
+def set_theme(page: Page, theme: str) -> None:
+    choice = field(page, "theme")
+    if choice.count() and choice.input_value() != theme:
+        choose(page, "theme", theme)
+    page.locator(f"html[data-mantine-color-scheme={theme}]").wait_for(state="attached")
+    page.locator("canvas").first.wait_for()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Make pictures of the page.")
+    parser.add_argument("--all", type=Path, metavar="FOLDER", help="each task, theme and width")
+    folder: Path | None = parser.parse_args().all
+    make_page_picture() if folder is None else make_all(folder)
+
+
+if __name__ == "__main__":
+    main()

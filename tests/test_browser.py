@@ -1,0 +1,454 @@
+"""The page in a real browser: what is typed, dragged and pressed reaches the run, and is seen."""
+
+from __future__ import annotations
+
+import math
+import re
+import signal
+import statistics
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import (
+    PATIENCE,
+    browser_or_skip,
+    choose,
+    eventually,
+    field,
+    load,
+    press,
+    row,
+    slide,
+    text_of,
+)
+from playwright.sync_api import Browser, ConsoleMessage, Page, expect
+from raw_client import RawClient, wait_until
+from viser.transforms import SO3
+
+from hebbviz.learner import Learner
+from server.app import Site
+from server.commands import Choose, Pause, Reset, SetBeta, SetSpeed, SetWatch
+from server.look import place
+from server.page import _network_at
+from server.worker import Picture, Worker
+from sims.loading import make_task
+
+expect.set_options(timeout=PATIENCE)
+
+# viser warns of what is sent to a tab in the moment in which it closes
+pytestmark = pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection")
+
+ROOT = Path(__file__).parents[1]
+WIDTH, HEIGHT = 1100, 640
+SPEED = 100.0
+"""Steps per second: the steps are shown live, and leave the machine to the browser."""
+KNOWN_NOISE = "Tried to update non-existent component"
+"""viser's page says so of a plot that is drawn and replaced within one of its own frames."""
+
+
+@dataclass(frozen=True)
+class Live:
+    """A server in this process, so that what arrives at its worker can be seen."""
+
+    site: Site
+    worker: Worker
+
+    @property
+    def picture(self) -> Picture:
+        picture = self.worker.latest
+        assert picture is not None
+        return picture
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with browser_or_skip() as browser:
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def live() -> Iterator[Live]:
+    learner = Learner(make_task("pendulum", "quick"), seed=0)
+    site = Site(learner, host="127.0.0.1", port=0, speed=SPEED, task_name=None)
+    stop = threading.Event()
+    thread = threading.Thread(target=lambda: site.run(stop, open_browser=False), daemon=True)
+    thread.start()
+    wait_until(lambda: site._worker is not None and site._worker.latest is not None, 30.0)
+    assert site._worker is not None
+    yield Live(site, site._worker)
+    stop.set()
+    thread.join(10.0)
+    assert not thread.is_alive()
+
+
+@pytest.fixture(scope="module")
+def errors() -> list[str]:
+    """What the pages print as errors."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def tab(browser: Browser, live: Live, errors: list[str]) -> Page:
+    """The tab that most tests look at."""
+    page = load(browser, live.site.address, width=WIDTH, height=HEIGHT)
+    listen(page, errors)
+    return page
+
+
+@pytest.fixture
+def page(tab: Page, live: Live) -> Page:
+    """The tab, with the pendulum running slowly from the beginning."""
+    send(live, Choose("pendulum", "quick"), Reset(seed=0), SetSpeed(SPEED), SetWatch(on=False))
+    send(live, Pause(paused=False))
+    wait_until(lambda: not live.picture.paused and live.picture.live.step < 100, 20.0)
+    # a list that still waits to be told what holds would take back what a test chooses
+    expect(field(tab, "task")).to_have_value("pendulum")
+    expect(field(tab, "beta")).to_have_value("0.98")
+    expect(field(tab, "speed")).to_have_value("100")
+    tab.get_by_role("button", name="Pause", exact=True).wait_for()
+    return tab
+
+
+def send(live: Live, *commands: Any) -> None:
+    for command in commands:
+        live.worker.send(command)
+
+
+def listen(page: Page, errors: list[str]) -> None:
+    def note(message: ConsoleMessage) -> None:
+        if message.type == "error" and KNOWN_NOISE not in message.text:
+            errors.append(message.text)
+
+    page.on("console", note)
+    page.on("pageerror", lambda error: errors.append(str(error)))
+
+
+def step_shown(page: Page) -> int:
+    """The step counter of the page."""
+    found = re.search(r"(?:live,|paused at) step ([\d,]+)", text_of(page))
+    assert found, text_of(page)
+    return int(found[1].replace(",", ""))
+
+
+def pause(page: Page, live: Live) -> int:
+    """Pause without the page; at which step."""
+    send(live, Pause(paused=True))
+    eventually(page, lambda: live.picture.paused)
+    page.get_by_role("button", name="Run", exact=True).wait_for()
+    step = live.picture.live.step
+    eventually(page, lambda: step_shown(page) == step)
+    return step
+
+
+def marks(page: Page) -> int:
+    """How many plots show a mark for a change."""
+    count: int = page.evaluate(
+        "Object.values(window.__viserTestpoints.uplots).filter(p =>"
+        " [...p.chart.data.at(-1)].some(y => y !== null && Number.isFinite(y))).length"
+    )
+    return count
+
+
+# The run
+
+
+def test_the_page_opens_and_runs(page: Page) -> None:
+    expect(page.get_by_text("hebbviz", exact=True).first).to_be_visible()
+    assert page.locator("canvas").first.is_visible()
+    before = step_shown(page)
+    eventually(page, lambda: step_shown(page) > before + 10)
+    assert "1 tab" in text_of(page)
+
+
+def test_pause_stops_the_counter_and_a_step_is_one_step(page: Page, live: Live) -> None:
+    press(page, "Pause")
+    eventually(page, lambda: live.picture.paused)
+    step = live.picture.live.step
+    eventually(page, lambda: step_shown(page) == step)
+    press(page, "1 step")
+    eventually(page, lambda: step_shown(page) == step + 1)
+    page.keyboard.press("n")
+    eventually(page, lambda: step_shown(page) == step + 2)
+    press(page, "10")
+    eventually(page, lambda: step_shown(page) == step + 12)
+    assert live.picture.live.step == step + 12
+    page.locator("body").press(" ")
+    eventually(page, lambda: not live.picture.paused and step_shown(page) > step + 20)
+    page.locator("body").press(" ")
+    eventually(page, lambda: live.picture.paused)
+    step = live.picture.live.step
+    eventually(page, lambda: step_shown(page) == step)
+    page.wait_for_timeout(300)
+    assert step_shown(page) == live.picture.live.step == step
+
+
+def test_a_reset_begins_again_with_the_set_beta(page: Page, live: Live) -> None:
+    send(live, SetBeta(0.9))
+    pause(page, live)
+    page.keyboard.press("r")
+    eventually(page, lambda: step_shown(page) == 0)
+    assert live.picture.live.step == 0
+    assert live.picture.beta == 0.9
+    assert live.picture.seed == 0
+    send(live, SetBeta(0.98))
+
+
+def test_a_new_seed_begins_another_run(page: Page, live: Live) -> None:
+    pause(page, live)
+    run = live.picture.run_number
+    press(page, "New seed")
+    eventually(page, lambda: live.picture.run_number > run)
+    assert live.picture.seed == 1
+    assert live.picture.live.step == 0
+    expect(field(page, "seed")).to_have_value("1")
+
+
+# The learning
+
+
+def test_beta_typed_reaches_the_worker_and_the_plots(page: Page, live: Live) -> None:
+    field(page, "beta").fill("0.995")
+    eventually(page, lambda: live.picture.beta == 0.995)
+    eventually(page, lambda: "1/(1−β) = 200 steps = 4 s" in text_of(page))
+    eventually(page, lambda: marks(page) > 0)
+    expect(row(page, "memory").get_by_role("textbox")).to_have_value("2.3")
+    assert live.picture.live.step > 0  # nothing began again
+
+
+def test_beta_typed_key_by_key_ends_at_what_was_typed(page: Page, live: Live) -> None:
+    field(page, "beta").select_text()
+    field(page, "beta").press_sequentially("0.9973", delay=40)
+    eventually(page, lambda: live.picture.beta == 0.9973)
+    page.wait_for_timeout(1500)  # nothing that is late may take it back
+    assert live.picture.beta == 0.9973
+    expect(field(page, "beta")).to_have_value("0.9973")
+
+
+def test_the_memory_slider_is_moved_by_keys(page: Page, live: Live) -> None:
+    expect(row(page, "memory").get_by_role("textbox")).to_have_value("1.7")
+    slide(page, "memory", "ArrowRight", times=3)  # by 0.01 each
+    eventually(page, lambda: math.isclose(live.picture.beta, 1 - 10**-1.73, abs_tol=2e-6))
+    eventually(page, lambda: marks(page) > 0)
+    eventually(page, lambda: "1/(1−β) = 53.7 steps" in text_of(page))
+
+
+def test_the_memory_slider_is_dragged(page: Page, live: Live) -> None:
+    slider = row(page, "memory").get_by_role("slider")
+    slider.scroll_into_view_if_needed()
+    thumb = slider.bounding_box()
+    track = row(page, "memory").locator(".mantine-Slider-trackContainer").bounding_box()
+    assert thumb is not None
+    assert track is not None
+    x, y = thumb["x"] + thumb["width"] / 2, thumb["y"] + thumb["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(track["x"] + 0.6 * track["width"], y, steps=4)
+    page.mouse.move(track["x"] + 0.75 * track["width"], y, steps=4)
+    page.mouse.up()
+    eventually(page, lambda: 0.9975 < live.picture.beta < 0.9995)  # 10³ steps, at 3 of 0..4
+    press(page, "Undo: β")  # a drag is one change
+    eventually(page, lambda: live.picture.beta == 0.98)
+
+
+def test_gamma_is_typed_and_dragged(page: Page, live: Live) -> None:
+    field(page, "gamma").fill("1e-3")
+    eventually(page, lambda: live.picture.gamma == 1e-3)
+    expect(row(page, "step size").get_by_role("textbox")).to_have_value("-3")
+    slide(page, "step size", "ArrowLeft")  # by 0.05
+    eventually(page, lambda: live.picture.gamma == 8.91e-4)
+    slide(page, "step size", "ArrowLeft")
+    eventually(page, lambda: live.picture.gamma == 7.94e-4)
+    expect(field(page, "gamma")).to_have_value("0.000794")
+    eventually(page, lambda: marks(page) > 0)
+
+
+def test_freezing_remembers_gamma(page: Page, live: Live) -> None:
+    row(page, "freeze learning").get_by_role("checkbox").check()
+    eventually(page, lambda: live.picture.frozen)
+    assert live.picture.gamma == 0.01
+    step, weight = live.picture.live.step, live.picture.live.weight.copy()
+    eventually(page, lambda: live.picture.live.step > step + 100)
+    assert np.array_equal(live.picture.live.weight, weight)
+    expect(field(page, "gamma")).to_have_value("0.01")
+    row(page, "freeze learning").get_by_role("checkbox").uncheck()
+    eventually(page, lambda: not live.picture.frozen)
+    assert live.picture.gamma == 0.01
+
+
+def test_undo_returns_beta_and_the_step_before(page: Page, live: Live) -> None:
+    step = pause(page, live)
+    field(page, "beta").fill("0.5")
+    eventually(page, lambda: live.picture.beta == 0.5)
+    press(page, "100")
+    eventually(page, lambda: step_shown(page) == step + 100)
+    press(page, "Undo: β 0.5")
+    eventually(page, lambda: step_shown(page) == step)
+    assert live.picture.beta == 0.98
+    assert live.picture.live.step == step
+    expect(field(page, "beta")).to_have_value("0.98")
+    page.get_by_text(re.compile("undone: β 0.5, back at step")).first.wait_for()
+
+
+def test_a_refused_value_shows_a_notice_and_changes_nothing(page: Page, live: Live) -> None:
+    field(page, "beta").fill("2")
+    page.get_by_text(re.compile(r"beta must be .*got 2")).first.wait_for()
+    assert live.picture.beta == 0.98
+    expect(field(page, "beta")).to_have_value("0.98")
+    field(page, "hidden").scroll_into_view_if_needed()
+    run = live.picture.run_number
+    field(page, "hidden").fill("8,x")
+    page.get_by_text(re.compile(r"hidden.*8,x")).first.wait_for()
+    assert live.picture.run_number == run
+    assert live.picture.live.topology.describe() == "8-4-2"
+
+
+# The worlds
+
+
+def test_one_synapse_by_hand(page: Page, live: Live) -> None:
+    choose(page, "task", "synapse")
+    eventually(page, lambda: live.picture.task_name == "synapse")
+    pause(page, live)
+    weight = live.picture.live.weight[0]
+    for button in ("Presynaptic spike", "Postsynaptic spike"):
+        step, changes = live.picture.live.step, len(live.picture.changes)
+        press(page, button)
+        eventually(page, lambda changes=changes: len(live.picture.changes) > changes)
+        press(page, "1 step")
+        eventually(page, lambda step=step: live.picture.live.step == step + 1)
+    assert live.picture.live.fired[1]
+    trace = live.picture.live.trace[0]
+    assert trace > 0
+    assert live.picture.live.weight[0] == weight
+    press(page, "+ reward")
+    eventually(page, lambda: "reward" in str(live.picture.undo_words))
+    press(page, "1 step")
+    eventually(page, lambda: live.picture.live.weight[0] > weight)
+
+
+def test_sonar_shows_the_class_and_the_prediction(page: Page, live: Live) -> None:
+    choose(page, "task", "sonar")
+    eventually(page, lambda: live.picture.task_name == "sonar")
+    eventually(page, lambda: re.search(r"(rock|mine)", text_of(page), re.IGNORECASE))
+    eventually(page, lambda: re.search(r"(predict|says|taken)", text_of(page), re.IGNORECASE))
+    assert live.picture.live.topology.describe() == "60-8-1"
+    assert "tilt" not in text_of(page)
+
+
+# Tabs and picks
+
+
+def test_each_tab_follows_its_own_pick(
+    page: Page, live: Live, browser: Browser, errors: list[str]
+) -> None:
+    pause(page, live)
+    other = load(browser, live.site.address, width=WIDTH, height=HEIGHT)
+    listen(other, errors)
+    choose(page, "from", "angle x")
+    page.get_by_text("angle x → hidden 1").wait_for()
+    choose(other, "pick", "hidden → output")
+    choose(other, "to", "output 2")
+    other.get_by_text("hidden 1 → output 2").wait_for()
+    weight = live.picture.live.weight
+    names = live.picture.live.topology
+    assert f"{weight[4]:+.5f}" in text_of(page)  # from angle x, the fifth input, to hidden 1
+    assert f"{weight[names.synapses_of(1).start + 4]:+.5f}" in text_of(other)
+    assert "hidden 1 → output 2" not in text_of(page)
+    eventually(page, lambda: "2 tabs" in text_of(page))
+    other.context.close()
+    eventually(page, lambda: "1 tab" in text_of(page) and "2 tabs" not in text_of(page))
+    assert "angle x → hidden 1" in text_of(page)
+    step = step_shown(page)
+    press(page, "1 step")
+    eventually(page, lambda: step_shown(page) == step + 1)
+
+
+def test_a_click_on_a_neuron_picks_it(page: Page, live: Live) -> None:
+    pause(page, live)
+    unit = live.picture.live.topology.first_unit("hidden") + 2
+    x, y = on_screen(page, live, unit)
+    page.mouse.move(x - 3, y - 3)
+    page.mouse.click(x, y)
+    page.get_by_text("σ(v), chance to fire").wait_for()
+    assert "hidden 3" in text_of(page).partition("Inspect (this tab)")[2]
+
+
+def on_screen(page: Page, live: Live, unit: int) -> tuple[float, float]:
+    """Where a unit is seen on the page."""
+    (client,) = live.site._server.get_clients().values()
+    camera, canvas = client.camera, page.locator("canvas").first.bounding_box()
+    assert canvas is not None
+    where = place(live.picture.live.topology).units[unit] + _network_at(live.picture)
+    right, down, ahead = SO3(camera.wxyz).inverse() @ (where - camera.position)
+    scale = canvas["height"] / 2 / math.tan(camera.fov / 2) / ahead
+    return (
+        canvas["x"] + canvas["width"] / 2 + scale * right,
+        canvas["y"] + canvas["height"] / 2 + scale * down,
+    )
+
+
+# The look
+
+
+def test_both_themes_draw_without_errors(page: Page, errors: list[str]) -> None:
+    for theme in ("light", "dark"):
+        choose(page, "theme", theme)
+        page.locator(f"html[data-mantine-color-scheme={theme}]").wait_for(state="attached")
+        step = step_shown(page)
+        eventually(page, lambda step=step: step_shown(page) > step + 20)
+    assert page.evaluate("Object.keys(window.__viserTestpoints.uplots).length") > 1
+
+
+def test_no_page_printed_an_error(page: Page, errors: list[str]) -> None:
+    assert errors == []
+
+
+# The server
+
+
+def test_a_command_acts_at_once(live: Live) -> None:
+    """Aim: 100 ms at full speed; the machine may be busy with other things."""
+    send(live, Choose("pendulum", "quick"), SetSpeed("max"), Pause(paused=False))
+    delays = []
+    with RawClient(int(live.site.address.rpartition(":")[2])) as client:
+        beta = client.find("beta")
+        for k in range(9):
+            value = round(0.9 + 0.005 * k, 4)
+            time.sleep(0.05)
+            began = time.monotonic()
+            client.send_value(beta, value)
+            wait_until(lambda value=value: live.picture.beta == value)
+            delays.append(time.monotonic() - began)
+    send(live, SetBeta(0.98), SetSpeed(SPEED), Pause(paused=True))  # and leave the machine alone
+    assert statistics.median(delays) < 1.0
+
+
+def test_the_page_says_that_the_server_is_gone(browser: Browser) -> None:
+    command = [sys.executable, "-m", "server.cli", "serve", "--no-browser", "--port", "0"]
+    with subprocess.Popen(
+        [*command, "--speed", "50"], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    ) as server:
+        assert server.stdout is not None
+        try:
+            said = ""
+            while "hebbviz is at" not in said:
+                said = server.stdout.readline()
+                assert said, "the server ended"
+            address = said.split()[3]
+            page = load(browser, address, width=WIDTH, height=HEIGHT)
+            gone = page.get_by_text(re.compile("server is gone", re.IGNORECASE))
+            expect(gone).to_have_count(1)
+            expect(gone).not_to_be_visible()
+            server.send_signal(signal.SIGKILL)
+            expect(gone).to_be_visible()
+            page.context.close()
+        finally:
+            server.kill()
