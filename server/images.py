@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,10 +32,12 @@ def heat_map(values: Array, full: float, positive: Rgb, negative: Rgb, theme: Th
     return pixels
 
 
-def raster(block: Block | None, topology: Topology, theme: Theme) -> Pixels:
+def raster(
+    block: Block | None, topology: Topology, theme: Theme, changes: Sequence[int] = ()
+) -> Pixels:
     """The spikes of the latest steps, one row a neuron, newest at the right; (height, WIDTH, 3).
 
-    Groups differ in colour; a row above shows rewards.
+    Groups differ in colour; a row above shows rewards, and the steps of `changes`.
     """
     rows = topology.neurons
     row = max(2, min(RASTER_ROW, 150 // rows))
@@ -45,6 +49,8 @@ def raster(block: Block | None, topology: Topology, theme: Theme) -> Pixels:
         cells[1:, seen] = np.where(
             block.fired.T[..., None] > 0, _group_colors(topology)[:, None], theme.zero
         )
+        changed = np.isin(block.start + np.arange(len(block.fired)), changes)
+        cells[0, seen][changed] = theme.ink
         cells[0, seen][block.broadcast > 0] = palette.REWARD
         cells[0, seen][block.broadcast < 0] = palette.PUNISHMENT
     pixels = np.repeat(np.repeat(cells, row, axis=0), WIDTH // RASTER_STEPS, axis=1)

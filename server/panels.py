@@ -181,11 +181,13 @@ class Panels:
             self._rate_chart.draw(points, _marks(picture))
 
     def _draw_raster(self, picture: Picture) -> None:
-        self._raster_image.image = raster(picture.recent, self._topology, self._theme)
+        self._raster_image.image = raster(
+            picture.recent, self._topology, self._theme, [c.step for c in picture.changes]
+        )
         last = picture.recent.end - 1 if picture.recent else 0
         self._raster_words.content = (
             f"Every step up to {words.count(last)}, newest at the right. "
-            "Top row: reward yellow, punishment red."
+            "Top row: reward yellow, punishment red, a change grey."
         )
 
     def _draw_potentials(self, picture: Picture) -> None:

@@ -1,0 +1,169 @@
+"""What is seen agrees with what is: scales, colours, pictures made of numbers, words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hebbviz.learner import Learner
+from hebbviz.topology import SYMMETRIC, Group, Projection, Topology, feedforward
+from server import palette, words
+from server.images import RASTER_STEPS, WIDTH, heat_map, raster
+from server.look import (
+    MOST_SYNAPSES_DRAWN,
+    Looks,
+    Scale,
+    endpoints,
+    expected_spread,
+    largest_synapses,
+    place,
+    unit_names,
+)
+from sims.loading import make_task
+
+SIZES = st.floats(1e-12, 1e12)
+
+
+@given(st.lists(SIZES, min_size=1, max_size=30))
+def test_a_scale_covers_its_values_and_moves_only_when_it_must(values: list[float]) -> None:
+    scale = Scale()
+    for value in values:
+        before = scale.full
+        full = scale.fit(value)
+        assert value <= full * (1 + 1e-9)
+        if 0.2 * before <= value <= before:
+            assert full == before
+        mantissa = full / 10 ** np.floor(np.log10(full) + 1e-9)
+        assert min(abs(mantissa - m) for m in (1, 2, 5, 10)) < 1e-6
+
+
+@pytest.mark.parametrize("beta", [0.0, 0.9, 0.99])
+def test_the_expected_spread_of_a_trace_is_the_one_it_has(beta: float) -> None:
+    """At w = 0 a neuron fires half of the time: std z = 0.5·|u_pre|/√(1−β²)."""
+    learner = Learner(make_task("sonar"), beta=beta, gamma=0.0, lanes=256)
+    learner.set_weights(np.zeros_like(learner.weights))
+    learner.skip(900)
+    into_output = learner.topology.synapses_of(1)
+    measured = learner.traces[into_output].std()
+    expected = expected_spread(
+        learner.topology, learner.topology.projections[1], learner.activities[:, 0], beta
+    )
+    assert measured == pytest.approx(expected, rel=0.06)
+
+
+def test_every_synapse_runs_between_its_units_at_any_topology() -> None:
+    topology = Topology(
+        (Group("x", 3, is_input=True), Group("a", 2), Group("b", 4)),
+        (Projection("x", "a"), Projection("a", "b"), Projection("b", "b"), Projection("x", "b")),
+        "b",
+        SYMMETRIC,
+    )
+    pre, post = endpoints(topology)
+    assert len(pre) == len(post) == topology.synapses
+    for k, p in enumerate(topology.projections):
+        where, (rows, columns) = topology.synapses_of(k), topology.shape(p)
+        for s in range(where.start, where.stop):
+            i, j = divmod(s - where.start, columns)
+            assert post[s] == topology.first_unit(p.post) + i
+            assert pre[s] == topology.first_unit(p.pre) + j
+        assert where.stop - where.start == rows * columns
+    assert len(set(map(tuple, place(topology).units.round(9)))) == topology.units
+
+
+def test_a_spike_is_lit_and_silence_is_not_and_sizes_follow_the_numbers() -> None:
+    learner = Learner(make_task("pendulum"))
+    looks = Looks(learner.topology, palette.DARK)
+    for _ in range(50):
+        learner.advance(1)
+        frame = learner.frame()
+        look = looks.look(frame)
+        fired = frame.fired > 0
+        assert (look.neuron_colors[fired] == palette.SPIKE).all()
+        assert not (look.neuron_colors[~fired] == palette.SPIKE).all(axis=1).any()
+        order = np.argsort(np.abs(frame.weight))
+        assert (np.diff(look.weight_radius[order]) >= 0).all()
+        assert (np.sign(look.trace_height) == np.sign(frame.trace)).all()
+        assert (np.sign(look.input_height) == np.sign(frame.activity[:8])).all()
+
+
+def test_many_steps_in_a_picture_are_a_rate() -> None:
+    learner = Learner(make_task("pendulum"))
+    learner.advance(400)
+    frame = learner.frame()
+    look = Looks(learner.topology, palette.DARK).look(frame)
+    rate = frame.since.spikes / 400
+    expected = palette.blend(rate, palette.DARK.idle, palette.SPIKE)
+    np.testing.assert_array_equal(look.neuron_colors, expected)
+
+
+def test_of_a_large_network_the_largest_synapses_are_drawn() -> None:
+    weight = np.random.default_rng(0).normal(size=5000)
+    drawn = largest_synapses(weight)
+    assert len(set(drawn)) == MOST_SYNAPSES_DRAWN
+    rest = np.setdiff1d(np.arange(5000), drawn)
+    assert np.abs(weight[drawn]).min() >= np.abs(weight[rest]).max()
+
+
+def test_the_raster_shows_every_spike_at_its_step_and_neuron() -> None:
+    learner = Learner(make_task("pendulum"))
+    block = learner.advance(RASTER_STEPS + 40).tail(RASTER_STEPS)
+    image = raster(block, learner.topology, palette.DARK)
+    row, column = image.shape[0] // 7, WIDTH // RASTER_STEPS
+    lit = image[row // 2 :: row, ::column][1:7] != palette.DARK.zero
+    np.testing.assert_array_equal(lit.any(axis=2), block.fired.T > 0)
+    punished = (image[row // 2, ::column] == palette.PUNISHMENT).all(axis=1)
+    np.testing.assert_array_equal(punished, block.broadcast < 0)
+
+
+def test_a_heat_map_is_neutral_at_zero_and_full_at_its_scale() -> None:
+    values = np.array([[0.0, 2.0], [-2.0, 1.0]])
+    hues = palette.WEIGHT_POSITIVE, palette.WEIGHT_NEGATIVE
+    image = heat_map(values, 2.0, *hues, palette.LIGHT)
+    half = image.shape[0] // 4, image.shape[1] // 4
+    centers = image[half[0] :: 2 * half[0], half[1] :: 2 * half[1]]
+    assert tuple(centers[0, 0]) == palette.LIGHT.zero
+    assert tuple(centers[0, 1]) == palette.WEIGHT_POSITIVE
+    assert tuple(centers[1, 0]) == palette.WEIGHT_NEGATIVE
+
+
+def test_opposite_signs_are_told_apart_without_red_or_green_cones() -> None:
+    """Projected as by Viénot et al. (1999), opposite hues still differ plainly."""
+    blind = {
+        "protanope": [[0.11238, 0.88762, 0.0], [0.11238, 0.88762, 0.0], [0.00401, -0.00401, 1.0]],
+        "deuteranope": [[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]],
+    }
+    pairs = (
+        (palette.WEIGHT_POSITIVE, palette.WEIGHT_NEGATIVE),
+        (palette.TRACE_POSITIVE, palette.TRACE_NEGATIVE),
+        (palette.REWARD, palette.PUNISHMENT),
+    )
+    for matrix in blind.values():
+        for a, b in pairs:
+            seen = [np.array(matrix) @ (np.array(c) / 255) ** 2.2 for c in (a, b)]
+            assert np.linalg.norm(seen[0] - seen[1]) > 0.15
+
+
+def test_words_tell_when_the_network_is_stuck_and_not_otherwise() -> None:
+    learner = Learner(make_task("pendulum"))
+    learner.advance(30_000)
+    assert words.stuck([learner.frame()]) is None
+    for high in (0, 30_000):  # outputs that never fire, or always
+        learner.advance(30_000)
+        frame = learner.frame()
+        spikes = np.array([15_000] * 4 + [high] * 2)
+        stuck = words.stuck([replace(frame, since=replace(frame.since, spikes=spikes))])
+        assert "constant" in (stuck or "")
+    certain = np.stack([np.full(6, 20.0), np.full(6, 30.0)])
+    since = replace(frame.since, potential_range=certain)
+    assert "saturated" in (words.stuck([replace(frame, since=since)]) or "")
+    assert words.stuck([replace(frame, since=replace(since, steps=1_000))]) is None
+
+
+def test_every_unit_has_a_name_of_its_own() -> None:
+    topology = feedforward(3, (2, 2), 1)
+    names = unit_names(topology, ("p", "q", "r"))
+    assert len(set(names)) == topology.units
