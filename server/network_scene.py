@@ -20,6 +20,8 @@ ROOT = "/network"
 MOST_LABELS = 16
 BAR = 0.75
 """Width of an input's bar, as a share of its diameter."""
+OUT_OF_SIGHT = (0.0, 0.0, -1e4)
+"""For a label that says nothing: one made invisible does not come back in viser's page."""
 TRACE_WIDTH = 0.05
 
 
@@ -82,10 +84,11 @@ class NetworkScene:
 
     def say(self, reward: str, world: str) -> None:
         """What the labels over the network say of the reward and of the world."""
-        for label, words in ((self._reward_label, reward), (self._world_label, world)):
+        for label, words, rank in ((self._reward_label, reward, 0), (self._world_label, world, 1)):
+            if bool(label.text) != bool(words):
+                label.position = self._over(rank) if words else OUT_OF_SIGHT
             if label.text != words:
                 label.text = words
-                label.visible = bool(words)
 
     # Building
 
@@ -132,22 +135,21 @@ class NetworkScene:
             handle.on_click(_picker(on_synapse, lambda k: int(self.drawn[k])))
 
     def _add_reward(self) -> None:
-        top = self._place.units[:, 2].max()
         self._pulse = self._batch(
             "pulse", shapes.sphere(3), self._place.middle[None], np.zeros((1, 3)), palette.REWARD,
             0.1,
         )  # fmt: skip
-        self._reward_label = self._scene.add_label(
-            f"{ROOT}/reward",
-            "",
-            position=(0.0, 0.0, top + 0.45 * (1 + self._place.large)),
-            anchor="bottom-center",
+        self._reward_label, self._world_label = (
+            self._scene.add_label(
+                f"{ROOT}/{name}", "", position=OUT_OF_SIGHT, anchor="bottom-center"
+            )
+            for name in ("reward", "words")
         )
-        self._world_label = self._scene.add_label(
-            f"{ROOT}/words", "", position=(0.0, 0.0, top + 0.45 * (1 + self._place.large) + 0.34),
-            anchor="bottom-center", font_screen_scale=1.15,
-        )  # fmt: skip
-        self._reward_label.visible = self._world_label.visible = False
+
+    def _over(self, rank: int) -> tuple[float, float, float]:
+        """A place over the network, the higher the rank the higher."""
+        top = float(self._place.units[:, 2].max() + self._place.radius.max())
+        return (0.0, 0.0, top + 0.3 + (0.34 / self._place.large) * rank)
 
     def _add_labels(self, names: tuple[str, ...]) -> None:
         """Names of the groups, and of the inputs where there is room for them."""

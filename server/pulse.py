@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +21,10 @@ AFTERGLOW_PICTURES = 26
 """Pictures for which the weight changes stay to be seen."""
 QUIET_PICTURES = 25
 """Rewards closer together than this make no pulse each; their weight changes are shown."""
+GLOW, FAINT_GLOW = 1.9, 0.7
+"""Thickness of the largest weight change, in that of the thickest synapse."""
+WORDS_SECONDS = 0.3
+"""Words that change faster than this cannot be read."""
 FEW_STEPS = 25
 """With more steps in a picture, rewards are told as a rate, not as events."""
 
@@ -31,6 +37,9 @@ class Pulse:
         self._pulse_age = PULSE_PICTURES
         self._color: Rgb = palette.REWARD
         self._change = np.zeros(synapses)
+        self._reward = 0.0
+        self._alone = True
+        self._said_at = 0.0
         self._hidden = True
 
     def follow(self, frame: Frame, scene: NetworkScene, world: str, *, still: bool) -> None:
@@ -38,22 +47,33 @@ class Pulse:
 
         While nothing moves (`still`) the pulse ends, but what the reward changed stays to be seen.
         """
-        if frame.since.steps:
-            scene.say(self._words(frame), world)
-        if 0 < frame.since.steps <= FEW_STEPS and frame.since.tally.broadcast != 0.0:
+        arrives = 0 < frame.since.steps <= FEW_STEPS and frame.since.tally.broadcast != 0.0
+        if arrives:
             self._arrive(frame)
+        if frame.since.steps:
+            self._say(frame, scene, world, at_once=arrives and self._pulse_age == 0)
         self._pulse_age += 1
         if not still or self._since_reward < AFTERGLOW_PICTURES // 3:
             self._since_reward += 1
         self._draw(scene)
 
     def _arrive(self, frame: Frame) -> None:
-        if self._since_reward > QUIET_PICTURES:
+        """Take in a reward; one that follows closely on another begins no pulse, and glows less."""
+        self._alone = self._since_reward > QUIET_PICTURES
+        if self._alone:
             self._pulse_age = 0
         positive = frame.since.tally.broadcast > 0
         self._color = palette.REWARD if positive else palette.PUNISHMENT
         self._since_reward = 0
+        self._reward = frame.since.tally.broadcast
         self._change = frame.since.weight_change.copy()
+
+    def _say(self, frame: Frame, scene: NetworkScene, world: str, *, at_once: bool) -> None:
+        """Words that follow one another too fast to be read are left out."""
+        now = time.monotonic()
+        if at_once or now - self._said_at > WORDS_SECONDS:
+            self._said_at = now
+            scene.say(self._words(frame), world)
 
     def _draw(self, scene: NetworkScene) -> None:
         if self._since_reward > AFTERGLOW_PICTURES:
@@ -66,7 +86,8 @@ class Pulse:
         largest = np.abs(self._change).max(initial=0.0)
         size = np.abs(self._change) / largest if largest > 0 else np.zeros_like(self._change)
         fade = 1.0 - self._since_reward / (AFTERGLOW_PICTURES + 1)
-        radius = np.where(size > 0.02, THICKEST * 1.9 * size * fade, 0.0)
+        thick = (GLOW if self._alone else FAINT_GLOW) * THICKEST
+        radius = np.where(size > 0.02, thick * size * fade, 0.0)
         scene.draw_change(radius, np.sign(self._change) * size)
         share = self._pulse_age / PULSE_PICTURES
         scene.draw_pulse(share if share < 1.0 else 0.0, self._color)
@@ -76,11 +97,7 @@ class Pulse:
         since = frame.since
         if since.steps > FEW_STEPS:
             return f"r: {since.tally.broadcast / since.steps:+.3f} per step"
-        if since.tally.broadcast != 0.0:
-            largest = float(np.abs(since.weight_change).max(initial=0.0))
-            return f"r = {since.tally.broadcast:+g}: Δw = γ r z, at most {largest:.1e}"
         if self._since_reward > AFTERGLOW_PICTURES:
             return ""
         largest = float(np.abs(self._change).max(initial=0.0))
-        sign = "+" if self._color == palette.REWARD else "−"
-        return f"r {sign}: Δw at most {largest:.1e}"
+        return f"r = {self._reward:+g}: Δw = γ r z, at most {largest:.1e}"

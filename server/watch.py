@@ -15,7 +15,7 @@ import numpy as np
 from hebbviz.moments import Block
 from server.run import Moment, Replay, Run
 
-EXCERPT_SECONDS = 8.0
+EXCERPT_SECONDS = 6.0
 LEAD, TAIL = 10, 6
 """Steps shown before and after a reward in slow motion."""
 SLOW_STEPS_PER_SECOND = 4.0

@@ -139,7 +139,7 @@ def text_of(page: Page) -> str:
     return said
 
 
-def eventually(page: Page, condition: Callable[[], object], seconds: float = 20.0) -> None:
+def eventually(page: Page, condition: Callable[[], object], seconds: float = 60.0) -> None:
     """Wait until `condition` holds, while the page goes on."""
     for _ in range(round(seconds / 0.02)):
         if condition():
