@@ -6,13 +6,12 @@ The trajectory is a pure function of task, topology, parameters and seed, and of
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz import engine, rule
+from hebbviz import engine, held, rule
 from hebbviz.chance import (
     FIRST_EPISODE,
     INITIAL_WEIGHTS,
@@ -23,15 +22,12 @@ from hebbviz.chance import (
     uniforms,
 )
 from hebbviz.layout import Layout
+from hebbviz.limits import MOST_LANES, check_beta, check_gamma, check_reward, check_steps
 from hebbviz.moments import Block, Frame, Keyframe, Summary
 from hebbviz.task import CompiledTask, Tally, Task
 from hebbviz.topology import Topology
 
 Array = NDArray[np.float64]
-
-LARGEST_GAMMA = 1e3
-LARGEST_REWARD = 1e6
-MOST_LANES = 4096
 
 NOBODY = -1
 """In place of a watched lane: nothing is noted."""
@@ -42,43 +38,6 @@ EVALUATION_STEP = 2**40
 
 class TaskError(Exception):
     """A task raised or broke its contract in mid-run; the learner is at the step before."""
-
-
-def check_beta(beta: float) -> float:
-    """β itself; raises ValueError unless it is a number in [0, 1)."""
-    if not _is_number(beta) or not 0.0 <= beta < 1.0:
-        raise ValueError(f"beta must be in [0, 1), got {beta!r}")
-    return float(beta)
-
-
-def check_gamma(gamma: float) -> float:
-    """γ itself; raises ValueError unless it is a finite number from 0 to LARGEST_GAMMA."""
-    if not _is_number(gamma) or not 0.0 <= gamma <= LARGEST_GAMMA:
-        raise ValueError(
-            f"gamma (the step size) must be from 0 to {LARGEST_GAMMA:g}, got {gamma!r}"
-        )
-    return float(gamma)
-
-
-def check_reward(reward: float) -> float:
-    """The reward itself; raises ValueError unless it is finite and not absurdly large."""
-    if not _is_number(reward) or abs(reward) > LARGEST_REWARD:
-        raise ValueError(f"reward must be a number within ±{LARGEST_REWARD:g}, got {reward!r}")
-    return float(reward)
-
-
-def _whole(steps: int) -> int:
-    if steps < 0:
-        raise ValueError(f"steps must not be negative, got {steps}")
-    return steps
-
-
-def _is_number(value: object) -> bool:
-    return (
-        isinstance(value, (int, float, np.integer, np.floating))
-        and not isinstance(value, bool)
-        and math.isfinite(value)
-    )
 
 
 class Learner:
@@ -144,7 +103,7 @@ class Learner:
         Raises TaskError if the task fails; the learner is then at the end of the last good step.
         """
         start = self.step
-        fired = np.zeros((_whole(steps), self.topology.neurons), dtype=np.uint8)
+        fired = np.zeros((check_steps(steps), self.topology.neurons), dtype=np.uint8)
         rewards = np.zeros((steps, 3))
         try:
             self._run(steps, self.watch, fired, rewards)
@@ -155,7 +114,9 @@ class Learner:
     def skip(self, steps: int) -> None:
         """`advance` without notes: the same run, faster. The next Frame sums up from its end."""
         try:
-            self._run(_whole(steps), NOBODY, np.zeros((0, 0), dtype=np.uint8), np.zeros((0, 3)))
+            self._run(
+                check_steps(steps), NOBODY, np.zeros((0, 0), dtype=np.uint8), np.zeros((0, 3))
+            )
         finally:
             self._new_summary()
 
@@ -312,12 +273,12 @@ class Learner:
     @property
     def weights(self) -> Array:
         """w of every synapse, (synapses, lanes), in the topology's order."""
-        return self._unfolded()[0]
+        return held.unfolded(self.layout, self.network)[0]
 
     @property
     def traces(self) -> Array:
         """z of every synapse, (synapses, lanes)."""
-        return self._unfolded()[1]
+        return held.unfolded(self.layout, self.network)[1]
 
     @property
     def potentials(self) -> Array:
@@ -344,12 +305,12 @@ class Learner:
         traces = self.traces
         self._section("weight")[:] = weights
         self._section("trace")[:] = traces
-        self._refold()
+        held.refold(self.layout, self.network)
 
     def frame(self) -> Frame:
         """The watched lane now, and the summary since the last call."""
         lane = self.watch
-        weight, trace = self._unfolded()
+        weight, trace = held.unfolded(self.layout, self.network)
         tally = self.tally()
         neurons = self.topology.neurons
         raw, broadcast = self._section("reward")[:, lane]
@@ -502,59 +463,13 @@ class Learner:
         else:
             self._states = list(states)
 
-    def _unfolded(self) -> tuple[Array, Array]:
-        """Weights and traces as they are now, held input put in (see `rule`)."""
-        weight, trace = self._section("weight").copy(), self._section("trace").copy()
-        activity = self._section("activity")
-        row = 0
-        for k, p in enumerate(self.topology.projections):
-            post, pre = self.topology.shape(p)
-            if self.topology.is_held(p):
-                where, rows = self.topology.synapses_of(k), slice(row, row + post)
-                x = activity[self.topology.units_of(p.pre)]
-                z0 = trace[where].reshape(post, pre, -1)
-                w = self._section("gain")[k] * z0 + self._section("w_input")[rows, None] * x
-                z = self._section("decay")[k] * z0 + self._section("z_input")[rows, None] * x
-                weight[where] += w.reshape(post * pre, -1)
-                trace[where] = z.reshape(post * pre, -1)
-            row += post
-        return weight, trace
-
-    def _refold(self) -> None:
-        """Start the held sums anew from weights and traces that were set."""
-        for name, value in (("decay", 1.0), ("gain", 0.0), ("z_input", 0.0), ("w_input", 0.0)):
-            self._section(name)[:] = value
-        activity, row = self._section("activity"), 0
-        for k, p in enumerate(self.topology.projections):
-            post, pre = self.topology.shape(p)
-            if self.topology.is_held(p):
-                x = activity[self.topology.units_of(p.pre)]
-                for drive, of in (("w_drive", "weight"), ("z_drive", "trace")):
-                    synapses = self._section(of)[self.topology.synapses_of(k)]
-                    sums = (synapses.reshape(post, pre, -1) * x).sum(axis=1)
-                    self._section(drive)[row : row + post] = sums
-            row += post
-
-    def _probe_row(self, synapse: int) -> tuple[int, int, int, int]:
-        """Rows of the state that make up the z of a synapse: see `engine._note`."""
-        starts, row = self.layout.starts, 0
-        for k, p in enumerate(self.topology.projections):
-            where, (post, pre) = self.topology.synapses_of(k), self.topology.shape(p)
-            if synapse in range(where.start, where.stop):
-                i, j = divmod(synapse - where.start, pre)
-                decay = starts["decay"] + k if self.topology.is_held(p) else -1
-                unit = starts["activity"] + self.topology.first_unit(p.pre) + j
-                return starts["trace"] + synapse, decay, starts["z_input"] + row + i, unit
-            row += post
-        raise AssertionError
-
     def _new_summary(self) -> None:
         self._summed_steps = 0
         self._summed_tally = self.tally()
-        self._summed_weight = self._unfolded()[0][:, self.watch]
+        self._summed_weight = held.unfolded(self.layout, self.network)[0][:, self.watch]
         self._probes = self.probes
         self._probe_rows = np.array(
-            [self._probe_row(s) for s in self._probes], dtype=np.int64
+            [held.trace_rows(self.layout, s) for s in self._probes], dtype=np.int64
         ).reshape(-1, 4)
         neurons = self.topology.neurons
         self._counts = np.zeros(neurons, dtype=np.int64)

@@ -122,7 +122,7 @@ class Chart:
             self._plot = self._gui.add_uplot(
                 data, self._series, title=self._title, scales=scales, height=self._height,
                 legend={"show": self._legend, "live": False},
-                axes=({"size": 38, "space": 75}, {"size": 62}), padding=(8, 24, 0, 0),
+                axes=({"size": 38, "space": 90}, {"size": 62}), padding=(8, 24, 0, 0),
                 cursor={"show": False}, order=order,
             )  # fmt: skip
 

@@ -343,7 +343,8 @@ def _learner(args: argparse.Namespace) -> Learner:
     """The learner that was asked for, new or loaded. Raises InputError, ValueError, OSError and
     TaskError for what the user can mend.
     """
-    from hebbviz.learner import Learner, check_beta, check_gamma
+    from hebbviz.learner import Learner
+    from hebbviz.limits import check_beta, check_gamma
     from sims.loading import make_task
 
     for check, value in ((check_beta, args.beta), (check_gamma, args.gamma)):

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from hebbviz.learner import Learner, check_beta, check_gamma, check_reward
+from hebbviz.learner import Learner
+from hebbviz.limits import check_beta, check_gamma, check_reward
 
 LARGEST_SPEED = 1e9
 REALTIME = "realtime"
@@ -170,6 +171,11 @@ class ShowReward:
 
 
 @dataclass(frozen=True)
+class ShowBeginning:
+    """Play the first steps of the run, if Watch is on."""
+
+
+@dataclass(frozen=True)
 class Evaluate:
     """See how a frozen copy does, while the run goes on."""
 
@@ -183,5 +189,5 @@ class Probe:
 
 Command = (
     Change | Pause | StepOnce | SetSpeed | Reset | Choose | Undo | SetWatch | SetWatchSpeed
-    | ShowReward | Evaluate | Probe
+    | ShowReward | ShowBeginning | Evaluate | Probe
 )  # fmt: skip

@@ -47,7 +47,7 @@ SHORTEST, LONGEST = 0.0, 4.0
 """Ends of the memory slider, log10 of 1/(1−β): 1 to 10 000 steps."""
 LEAST_GAMMA, GREATEST_GAMMA = -8.0, -1.0
 """Ends of the step size slider, log10 of γ."""
-QUIET_SECONDS = 1.2
+QUIET_SECONDS = 2.5
 """A widget that was just moved by hand is not set back to the run's value before this."""
 TYPING_SECONDS = 0.6
 """A typed value that may be only a beginning is taken when nothing was typed for so long."""
@@ -63,6 +63,7 @@ class Controls:
     def __init__(self, gui: viser.GuiApi, send: Send, notify: Notify, seed: int) -> None:
         self._gui, self._send, self._notify = gui, send, notify
         self._touched: dict[int, float] = {}
+        self._put_before: dict[int, Any] = {}
         self._waiting: dict[int, threading.Timer] = {}
         self._task_buttons: list[Any] = []
         self._task_keys: list[Any] = []
@@ -191,6 +192,8 @@ class Controls:
 
     def follow(self, picture: Picture) -> None:
         """Show what holds. Widgets somebody is using are left alone for a moment."""
+        if self._picture is not None and self._picture.run_number != picture.run_number:
+            self._touched.clear()  # after an undo or a reset, what was typed before is past
         self._picture = picture
         self._follow_task(picture)
         self._follow_run(picture)
@@ -214,7 +217,7 @@ class Controls:
         if self.preset.options != tuple(task.presets):
             self.preset.options = tuple(task.presets)
         _set(self.preset, "value", task.preset_name)
-        self.preset_note.content = f"*{task.preset.note}*"
+        self.preset_note.content = f"{task.summary}. *{task.preset.note}.*"
         _set(self.amount, "value", task.hand_reward)
         self._build_task_buttons(task)
 
@@ -292,6 +295,7 @@ class Controls:
             if event.client is None:
                 return
             self._touched[id(handle)] = time.monotonic()
+            self._put_before.pop(id(handle), None)
             waiting = self._waiting.pop(id(handle), None)
             if waiting is not None:
                 waiting.cancel()
@@ -325,9 +329,20 @@ class Controls:
             self._send(made)
 
     def _put(self, handle: Any, value: Any) -> None:
-        """Set a widget that nobody is using."""
-        if time.monotonic() - self._touched.get(id(handle), 0.0) > QUIET_SECONDS:
-            _set(handle, "value", value)
+        """Set a widget to what holds, when that has become another or was lately touched by hand.
+
+        A widget that merely differs is left alone: what was typed may still be on its way here.
+        """
+        key = id(handle)
+        touched = self._touched.get(key)
+        if touched is not None:
+            if time.monotonic() - touched < QUIET_SECONDS:
+                return
+            self._touched.pop(key, None)
+        elif self._put_before.get(key) == value:
+            return
+        self._put_before[key] = value
+        _set(handle, "value", value)
 
     def _of_picture(self) -> Picture:
         if self._picture is None:

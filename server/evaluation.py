@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from hebbviz.learner import Learner, TaskError
@@ -25,14 +26,13 @@ class Evaluation:
 class Evaluator:
     """Evaluates one learner at a time, and keeps the figures of a run."""
 
-    def __init__(self, make_task: MakeTask) -> None:
-        self._make_task = make_task
+    def __init__(self, make_task: MakeTask, on_notice: Callable[[str], None]) -> None:
+        self._make_task, self._notice = make_task, on_notice
         self._thread: threading.Thread | None = None
         self._ended_at = 0.0
         self._lock = threading.Lock()
         self._done: list[Evaluation] = []
         self._run = object()
-        self.error: str | None = None
 
     def is_free(self) -> bool:
         rested = time.monotonic() - self._ended_at > PAUSE_SECONDS
@@ -63,7 +63,7 @@ class Evaluator:
         try:
             figures = copy.task.evaluate(copy)
         except TaskError as error:
-            self.error = str(error)
+            self._notice(f"the evaluation of a frozen copy failed: {error}")
             figures = {}
         self._ended_at = time.monotonic()
         with self._lock:

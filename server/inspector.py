@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from hebbviz.moments import Frame
+from hebbviz.moments import Frame, Summary
 from hebbviz.topology import Topology
 from server import palette
 from server.charts import Chart
@@ -70,8 +70,9 @@ class Inspector:
         if self.synapse is None:
             self._text.content = self._neuron_words(frame)
             return
-        self._text.content = self._synapse_words(frame, self.synapse)
         frames = [f for f in picture.shown_trail if f.since.steps]
+        since = frames[-1].since if frames else frame.since
+        self._text.content = self._synapse_words(frame, since, self.synapse)
         if len(frames) > 1:
             x = np.array([f.step for f in frames], dtype=np.float64)
             z, low, high, w = np.array([_values(f, self.synapse) for f in frames]).T
@@ -125,13 +126,12 @@ class Inspector:
 
     # Words
 
-    def _synapse_words(self, frame: Frame, synapse: int) -> str:
+    def _synapse_words(self, frame: Frame, since: Summary, synapse: int) -> str:
         pre, post = int(self._pre[synapse]), int(self._post[synapse])
         neuron = post - self._topology.inputs
         u_pre, fired = float(frame.before[pre]), float(frame.fired[neuron])
         expected = float(frame.probability[neuron])
-        change = float(frame.since.weight_change[synapse])
-        steps = frame.since.steps
+        change, steps = float(since.weight_change[synapse]), since.steps
         what_fired = "u·u_pre" if self._topology.activity[0] == 0 else "½(u+1)·u_pre"
         rows = (
             ("w, weight", f"{frame.weight[synapse]:+.5f}"),

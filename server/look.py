@@ -26,6 +26,8 @@ TALLEST_TRACE = 0.45
 TALLEST_INPUT = 0.5
 INPUT_BASE = -0.62
 """Where the zero of an input's level stands, below its unit."""
+SLOW_PICTURES = 2
+"""Pictures without a step after which spikes leave no afterglow: each step is seen by itself."""
 TRACE_AT = 0.68
 """How far along a synapse its trace stands, from the presynaptic side."""
 
@@ -33,15 +35,15 @@ TRACE_AT = 0.68
 class Scale:
     """A round number that a picture's full size stands for; it holds still while it fits."""
 
-    def __init__(self) -> None:
-        self.full = 0.0
+    def __init__(self, least: float = 0.0) -> None:
+        self.full = self._least = least
 
     def fit(self, largest: float) -> float:
         """The scale for values up to `largest`: it grows at once, and shrinks below a fifth."""
         if not math.isfinite(largest) or largest <= 0.0:
             return self.full or 1.0
         if largest > self.full or largest < 0.2 * self.full:
-            self.full = _round_up(largest)
+            self.full = max(self._least, _round_up(largest))
         return self.full
 
 
@@ -123,20 +125,20 @@ class Looks:
 
     def __init__(self, topology: Topology, theme: Theme) -> None:
         self.topology, self.theme = topology, theme
-        self.weight_scale = Scale()
-        self.trace_scales = [Scale() for _ in topology.projections]
+        least = 1.0 if topology.synapses == 1 else 0.0  # one synapse is to be seen to shrink
+        self.weight_scale = Scale(least)
+        self.trace_scales = [Scale(least) for _ in topology.projections]
         self.input_scale = Scale()
         self._place = place(topology)
         self._radius = self._place.radius
         self._thick = THICKEST * float(np.clip((40 / topology.synapses) ** 0.3, 0.5, 2.5))
         self._glow = np.zeros(topology.neurons)
+        self._pictures_since_step = 0
         self.pre, _ = endpoints(topology)
 
     def look(self, frame: Frame) -> Look:
         inputs = self.topology.inputs
-        if frame.since.steps:
-            rate = frame.since.spikes / frame.since.steps
-            self._glow = np.maximum(rate, 0.35 * self._glow)
+        self._afterglow(frame)
         radius = self._radius[inputs:]
         size = np.abs(frame.weight) / self.weight_scale.fit(np.abs(frame.weight).max(initial=0.0))
         trace = self._trace_shares(frame)
@@ -161,6 +163,16 @@ class Looks:
             ),
             trace_height=np.clip(trace, -1, 1) * TALLEST_TRACE * self._place.large,
         )  # fmt: skip
+
+    def _afterglow(self, frame: Frame) -> None:
+        """Light of the neurons: their rate, fading; where steps are slow, spikes alone."""
+        if not frame.since.steps:
+            self._pictures_since_step += 1
+            return
+        fade = 0.35 if self._pictures_since_step < SLOW_PICTURES else 0.0
+        self._pictures_since_step = 0
+        rate = frame.since.spikes / frame.since.steps
+        self._glow = np.maximum(rate, fade * self._glow)
 
     def _trace_shares(self, frame: Frame) -> Array:
         """Traces as shares of the full size, projection by projection."""

@@ -128,7 +128,7 @@ class NetworkScene:
             "synapses", shapes.tube(), middle, hidden, theme.idle, turns=turns
         )
         self._changes = self._batch(
-            "changes", shapes.tube(), middle, hidden, palette.REWARD, 0.6, turns=turns
+            "changes", shapes.tube(), middle, hidden, palette.REWARD, 0.4, turns=turns
         )
         self._traces = self._batch("traces", shapes.box(), self._trace_base, hidden, theme.idle)
         for handle in (self._tubes, self._traces):

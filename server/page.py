@@ -16,7 +16,7 @@ import numpy as np
 import viser
 
 from server import palette, words
-from server.commands import Probe
+from server.commands import Probe, ShowBeginning
 from server.controls import Controls
 from server.inspector import Inspector
 from server.look import MOST_SYNAPSES_DRAWN, Looks, largest_synapses, place, unit_names
@@ -155,8 +155,11 @@ class Page:
         self._panels = Panels(self._server.gui, self._tabs, picture, theme)
         self._parts = [self._network, self._world, self._panels]
         self._frame_camera(picture)
+        another = self._built is None or self._built[:2] != (task, topology)
         for client in self._server.get_clients().values():
             self._connected(client)
+            if another:
+                self._look_at(client, "overview")
         self._built = self._identity(picture)
 
     def _add_network(self, picture: Picture) -> None:
@@ -181,6 +184,8 @@ class Page:
 
     def _welcome(self, client: viser.ClientHandle) -> None:
         self._connected(client)
+        if len(self._server.get_clients()) == 1 and self._worker is not None:
+            self._worker.send(ShowBeginning())
         if client.camera.aspect < WHOLE_ASPECT:
             client.gui.main_panel.minimize()
             time.sleep(CAMERA_SECONDS)

@@ -161,7 +161,7 @@ class Panels:
             " Dots: no fall in that window, so at least this." if points["at least"][0].size else ""
         )
         self._learning_words.content = (
-            f"Each point sums up {words.count(picture.curve.window)} steps{now}.{bound} "
+            f"Each point sums up {words.steps(picture.curve.window)}{now}.{bound} "
             f"{_changes(picture)} {_evaluated(picture)}"
         )
 
@@ -184,7 +184,7 @@ class Panels:
         self._raster_image.image = raster(
             picture.recent, self._topology, self._theme, [c.step for c in picture.changes]
         )
-        last = picture.recent.end - 1 if picture.recent else 0
+        last = picture.recent.end if picture.recent else 0
         self._raster_words.content = (
             f"Every step up to {words.count(last)}, newest at the right. "
             "Top row: reward yellow, punishment red, a change grey."

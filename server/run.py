@@ -6,7 +6,7 @@ before it; from a moment and the log, any later step can be made again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from hebbviz.learner import Learner, TaskError
@@ -97,7 +97,8 @@ class Run:
         """Another task, preset or network, with the preset's β and γ."""
         task = self.make_task(command.task, command.preset)
         fresh = Learner(task, hidden=command.hidden, seed=self.learner.seed)
-        self._remember(f"choosing {command.task}, {task.preset_name}")
+        sizes = "" if command.hidden is None else f", hidden {','.join(map(str, command.hidden))}"
+        self._remember(f"choosing {command.task}, {task.preset_name}{sizes}")
         self._begin(fresh, command.task, None)
 
     def undo(self) -> str | None:
@@ -116,9 +117,6 @@ class Run:
     def replay(self, moment: Moment) -> Replay:
         """Make the run again from a moment of it."""
         return Replay(self, moment)
-
-    def changes_since(self, moment: Moment) -> Sequence[Logged]:
-        return self.log[moment.logged :]
 
     @property
     def undo_words(self) -> str | None:

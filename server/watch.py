@@ -16,9 +16,11 @@ from hebbviz.moments import Block
 from server.run import Moment, Replay, Run
 
 EXCERPT_SECONDS = 6.0
-LEAD, TAIL = 10, 6
+LEAD, TAIL = 7, 4
 """Steps shown before and after a reward in slow motion."""
-SLOW_STEPS_PER_SECOND = 4.0
+SLOW_STEPS_PER_SECOND = 2.5
+HOLD_SECONDS = 1.5
+"""What a reward did stays to be seen for so long."""
 
 DEFAULT_SPEED = 25.0
 
@@ -50,6 +52,8 @@ class Watch:
         self.speed = DEFAULT_SPEED
         self._moments: deque[Moment] = deque(maxlen=8)
         self._latest_reward: _Reward | None = None
+        self._beginning: Moment | None = None
+        self._left_to_hold = 0.0
         self._replay: Replay | None = None
         self._excerpt = Excerpt(0, 0, 0, is_reward=False)
         self._owed = 0.0
@@ -62,10 +66,12 @@ class Watch:
     def clear(self) -> None:
         """Forget all moments: the run is another one."""
         self._moments.clear()
-        self._latest_reward = self._replay = None
+        self._latest_reward = self._replay = self._beginning = None
 
     def note(self, moment: Moment, block: Block) -> None:
         """Keep the moment at which a block of the run began; look for rewards in the block."""
+        if self._beginning is None:
+            self._beginning = moment
         rewarded = np.flatnonzero(block.broadcast)
         if len(rewarded):
             step = block.start + int(rewarded[-1])
@@ -89,6 +95,13 @@ class Watch:
         self._start(replay, Excerpt(first, last, first, is_reward=True, reward_step=reward.step))
         return True
 
+    def show_beginning(self, run: Run) -> None:
+        """Play the first steps that are known of the run, if excerpts are on."""
+        begun = self._beginning
+        if self.on and begun is not None and begun.step + self._length() < run.learner.step:
+            first, last = begun.step, begun.step + self._length()
+            self._start(run.replay(begun), Excerpt(first, last, first, is_reward=False))
+
     def play(
         self, run: Run, seconds: float, *, go_on: bool = True
     ) -> tuple[Replay, Block | None] | None:
@@ -99,6 +112,9 @@ class Watch:
         """
         if self._replay is not None and not self._replay.is_of(run):
             self.clear()
+        if self._is_over() and self._left_to_hold > 0.0 and self._replay is not None:
+            self._left_to_hold -= seconds
+            return self._replay, None
         if self._is_over():
             self._replay = None
             if self.on and go_on and self._moments:
@@ -144,3 +160,4 @@ class Watch:
 
     def _start(self, replay: Replay, excerpt: Excerpt) -> None:
         self._replay, self._excerpt, self._owed = replay, excerpt, 0.0
+        self._left_to_hold = HOLD_SECONDS if excerpt.is_reward else 0.0

@@ -29,6 +29,11 @@ def count(n: float) -> str:
     return f"{n:,.0f}"
 
 
+def steps(n: int) -> str:
+    """1 step, 2,000 steps."""
+    return f"{count(n)} step{'s' * (n != 1)}"
+
+
 def short(x: float) -> str:
     """Three digits and a unit: 12.3 k, 4.56 M."""
     for limit, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
@@ -60,18 +65,18 @@ def score(value: Score, measure: Measure) -> str:
 
 def shown(picture: Picture) -> str:
     """Which steps are seen, how many in one picture, and what the neurons' light means."""
-    moved = [f.since.steps for f in picture.shown_trail[-3:] if f.since.steps]
-    steps = max(moved, default=1)
-    light = "a lit neuron fired" if steps <= 3 else "light is the firing rate"
-    each = f"one picture = {count(steps)} step{'s' * (steps != 1)}: {light}"
+    moved = [f.since.steps for f in picture.shown_trail if f.since.steps]
+    each = max(moved[-1 if picture.paused else -3 :], default=1)
+    light = "a lit neuron fired" if each <= 3 else "light is the firing rate"
+    scale = f"one picture = {steps(each)}: {light}"
     excerpt = picture.excerpt
     if excerpt is None:
         state = "paused at" if picture.paused else "live,"
-        return f"**{state} step {count(picture.shown.step)}** · {each}"
+        return f"**{state} step {count(picture.shown.step)}** · {scale}"
     kind = "latest reward, slow motion" if excerpt.is_reward else "excerpt"
     return (
         f"**{kind}: step {count(excerpt.now)}** of {count(excerpt.first)}–{count(excerpt.last)} "
-        f"(the run is at {count(picture.live.step)}) · {each}"
+        f"(the run is at {count(picture.live.step)}) · {scale}"
     )
 
 

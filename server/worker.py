@@ -35,6 +35,7 @@ from server.commands import (
     SetSpeed,
     SetWatch,
     SetWatchSpeed,
+    ShowBeginning,
     ShowReward,
     Speed,
     StepOnce,
@@ -108,7 +109,7 @@ class Worker(threading.Thread):
         self._picture: Picture | None = None
         self._stopping = threading.Event()
         self._watch = Watch()
-        self._evaluator = Evaluator(run.make_task)
+        self._evaluator = Evaluator(run.make_task, on_notice)
         self._paused = False
         self._speed: Speed = MAX
         self._owed = 0.0
@@ -267,6 +268,8 @@ class Worker(threading.Thread):
             case ShowReward():
                 if not self._watch.show_reward(self._run):
                     self._notice("no reward has come yet")
+            case ShowBeginning():
+                self._watch.show_beginning(self._run)
             case Evaluate():
                 self._evaluate()
             case Probe(synapses):

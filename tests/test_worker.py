@@ -33,7 +33,7 @@ from server.commands import (
 )
 from server.history import CAPACITY, History
 from server.run import Run
-from server.watch import LEAD, TAIL, Watch
+from server.watch import EXCERPT_SECONDS, LEAD, TAIL, Watch
 from server.worker import Picture, Worker
 from sims.loading import make_task
 
@@ -275,7 +275,8 @@ def test_excerpts_are_long_and_true(stretch: int) -> None:
         assert_same(learner, replay.learner)
     played_through = list(seen.items())[:-1]
     assert played_through
-    assert all(last - first == 80 for first, last in played_through)
+    length = round(watch.speed * EXCERPT_SECONDS)
+    assert all(last - first == length for first, last in played_through)
 
 
 @pytest.mark.parametrize("stretch", [1, 7, 400])

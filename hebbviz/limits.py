@@ -1,0 +1,49 @@
+"""What a learner may be given: the bounds, and checks that name value and bound."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+LARGEST_GAMMA = 1e3
+LARGEST_REWARD = 1e6
+MOST_LANES = 4096
+
+
+def check_beta(beta: float) -> float:
+    """β itself; raises ValueError unless it is a number in [0, 1)."""
+    if not _is_number(beta) or not 0.0 <= beta < 1.0:
+        raise ValueError(f"beta must be in [0, 1), got {beta!r}")
+    return float(beta)
+
+
+def check_gamma(gamma: float) -> float:
+    """γ itself; raises ValueError unless it is a finite number from 0 to LARGEST_GAMMA."""
+    if not _is_number(gamma) or not 0.0 <= gamma <= LARGEST_GAMMA:
+        raise ValueError(
+            f"gamma (the step size) must be from 0 to {LARGEST_GAMMA:g}, got {gamma!r}"
+        )
+    return float(gamma)
+
+
+def check_reward(reward: float) -> float:
+    """The reward itself; raises ValueError unless it is finite and not absurdly large."""
+    if not _is_number(reward) or abs(reward) > LARGEST_REWARD:
+        raise ValueError(f"reward must be a number within ±{LARGEST_REWARD:g}, got {reward!r}")
+    return float(reward)
+
+
+def check_steps(steps: int) -> int:
+    """The number of steps itself; raises ValueError if it is negative."""
+    if steps < 0:
+        raise ValueError(f"steps must not be negative, got {steps}")
+    return steps
+
+
+def _is_number(value: object) -> bool:
+    return (
+        isinstance(value, (int, float, np.integer, np.floating))
+        and not isinstance(value, bool)
+        and math.isfinite(value)
+    )
