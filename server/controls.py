@@ -211,11 +211,9 @@ class Controls:
             return
         self._shown_task = key
         names = (*TASKS, *((picture.task_name,) if picture.task_name not in TASKS else ()))
-        if self.task.options != names:
-            self.task.options = names
+        _set(self.task, "options", names)
         _set(self.task, "value", picture.task_name)
-        if self.preset.options != tuple(task.presets):
-            self.preset.options = tuple(task.presets)
+        _set(self.preset, "options", tuple(task.presets))
         _set(self.preset, "value", task.preset_name)
         self.preset_note.content = f"{task.summary}. *{task.preset.note}.*"
         _set(self.amount, "value", task.hand_reward)
@@ -256,8 +254,7 @@ class Controls:
         choices = (MAX, *((REALTIME,) if picture.task.dt else ()), *SPEEDS)
         if speed not in choices:
             choices = (*choices, speed)
-        if self.speed.options != choices:
-            self.speed.options = choices
+        _set(self.speed, "options", choices)
         self._put(self.speed, speed)
         if not isinstance(picture.speed, str):
             self._put(self.typed_speed, float(picture.speed))
@@ -269,7 +266,7 @@ class Controls:
         self._put(self.memory, round(memory, 2))
         _set(self.memory_words, "content", f"trace lasts {words.memory(beta, picture.task.dt)}")
         self._put(self.gamma, f"{gamma:.4g}")
-        log = min(GREATEST_GAMMA, max(LEAST_GAMMA, words.log10(gamma)))
+        log = min(GREATEST_GAMMA, math.log10(max(gamma, 10.0**LEAST_GAMMA)))
         self._put(self.step_size, round(log, 2))
         self._put(self.frozen, picture.frozen)
 

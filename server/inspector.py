@@ -12,6 +12,7 @@ from hebbviz.topology import Topology
 from server import palette
 from server.charts import Chart
 from server.look import endpoints
+from server.trail import moved
 from server.worker import Picture
 
 NEURON = "a neuron"
@@ -70,7 +71,7 @@ class Inspector:
         if self.synapse is None:
             self._text.content = self._neuron_words(frame)
             return
-        frames = [f for f in picture.shown_trail if f.since.steps]
+        frames = moved(picture.shown_trail)
         since = frames[-1].since if frames else frame.since
         self._text.content = self._synapse_words(frame, since, self.synapse)
         if len(frames) > 1:

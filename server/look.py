@@ -97,12 +97,16 @@ def endpoints(topology: Topology) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 def unit_names(topology: Topology, input_names: tuple[str, ...]) -> tuple[str, ...]:
     """A name for every unit: an input's own, a neuron's group and number."""
-    neurons = [
+    return (*input_names, *neuron_names(topology))
+
+
+def neuron_names(topology: Topology) -> tuple[str, ...]:
+    """A name for every neuron: its group's, and its number where the group has several."""
+    return tuple(
         g.name if g.size == 1 else f"{g.name} {k + 1}"
         for g in topology.neuron_groups
         for k in range(g.size)
-    ]
-    return (*input_names, *neurons)
+    )
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import viser
 
+from hebbviz.task import Pose
 from server import palette, words
 from server.commands import Probe, ShowBeginning
 from server.controls import Controls
@@ -240,13 +241,12 @@ class Page:
                 self._panels.draw(picture)
             self._drawn_at.append(time.monotonic())
             if time.monotonic() - self._text_at > TEXT_SECONDS:
-                self._write(picture)
+                self._write(picture, pose)
 
-    def _write(self, picture: Picture) -> None:
+    def _write(self, picture: Picture, pose: Pose) -> None:
         """All that is read: a few times a second."""
         self._text_at = time.monotonic()
         self._controls.follow(picture)
-        pose = picture.task.pose(picture.shown.world)
         self._status.content = f"{words.shown(picture)}\n\n{pose.words}"
         self._controls.say_speed(words.speed(picture))
         warning = picture.error or words.stuck(picture.live_trail)

@@ -8,15 +8,15 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from hebbviz.moments import Frame
 from hebbviz.task import Task
 from hebbviz.topology import Topology
 from server import palette, words
 from server.charts import Chart, Points
 from server.history import Curve
 from server.images import heat_map, raster
-from server.look import Scale
+from server.look import Scale, neuron_names
 from server.palette import Rgb, Theme
+from server.trail import moved
 from server.worker import Picture
 
 Array = NDArray[np.float64]
@@ -46,6 +46,7 @@ class Panels:
         self._drawers = (
             self._draw_learning, self._draw_raster, self._draw_reward, self._draw_potentials,
             self._draw_rates, self._draw_maps,
+            *((self._draw_synapse,) if self._synapse_chart is not None else ()),
         )  # fmt: skip
 
     def remove(self) -> None:
@@ -63,7 +64,7 @@ class Panels:
         measure = picture.task.measure
         unit = f" ({measure.unit})" if measure.unit else ""
         self._learning_title = f"{measure.name}{unit}"
-        self._learning = self._keep(
+        self._learning = self._hold(
             Chart(
                 gui, self._tabs["run"], self._learning_title,
                 _learning_series(picture.task),
@@ -76,14 +77,14 @@ class Panels:
             self._learning_words = self._hold(gui.add_markdown(""))
 
     def _build_reward(self, gui: viser.GuiApi) -> None:
-        self._reward = self._keep(
+        self._reward = self._hold(
             Chart(
                 gui, self._tabs["reward"], "average reward per step",
                 {"of the task": palette.SERIES[0], "as broadcast": palette.SERIES[1]},
                 dashed=("as broadcast",),
             )
         )  # fmt: skip
-        self._rate_chart = self._keep(
+        self._rate_chart = self._hold(
             Chart(
                 gui,
                 self._tabs["reward"],
@@ -98,7 +99,7 @@ class Panels:
         if self._topology.synapses == 1:
             series = {"z": palette.TRACE_POSITIVE, "w": palette.WEIGHT_POSITIVE}
             title = "trace z and weight w of the synapse"
-            self._synapse_chart = self._keep(
+            self._synapse_chart = self._hold(
                 Chart(gui, self._tabs["now"], title, series, height=190)
             )
         groups = ", ".join(f"{g.name} {g.size}" for g in self._topology.neuron_groups)
@@ -117,7 +118,7 @@ class Panels:
             for name, color in self._colors().items()
             for end in ("", " ")  # the second is the greatest of the same picture
         }
-        self._potential_chart = self._keep(
+        self._potential_chart = self._hold(
             Chart(gui, self._tabs["now"], "potential v", series, legend=False, height=140)
         )
         with self._tabs["now"]:
@@ -137,10 +138,6 @@ class Panels:
         return {
             name: palette.SERIES[k % len(palette.SERIES)] for k, name in enumerate(self._curves)
         }
-
-    def _keep(self, chart: Chart) -> Chart:
-        self._handles.append(chart)
-        return chart
 
     def _hold(self, handle: Any) -> Any:
         self._handles.append(handle)
@@ -173,7 +170,7 @@ class Panels:
         )
 
     def _draw_rates(self, picture: Picture) -> None:
-        frames = _moved(picture.live_trail)
+        frames = moved(picture.live_trail)
         if len(frames) > 1:
             x = np.array([f.step for f in frames], dtype=np.float64)
             rates = np.array([f.since.spikes / f.since.steps for f in frames])
@@ -190,13 +187,16 @@ class Panels:
             "Top row: reward yellow, punishment red, a change grey."
         )
 
-    def _draw_potentials(self, picture: Picture) -> None:
-        """Least and greatest v of each picture, of each curve's neurons."""
-        frames = _moved(picture.shown_trail)
+    def _draw_synapse(self, picture: Picture) -> None:
+        frames = moved(picture.shown_trail)
         if self._synapse_chart is not None and len(frames) > 1:
             x = np.array([f.step for f in frames], dtype=np.float64)
             z, w = np.array([(f.trace[0], f.weight[0]) for f in frames]).T
             self._synapse_chart.draw({"z": (x, z), "w": (x, w)}, _marks(picture))
+
+    def _draw_potentials(self, picture: Picture) -> None:
+        """Least and greatest v of each picture, of each curve's neurons."""
+        frames = moved(picture.shown_trail)
         if len(frames) > 1:
             x = np.array([f.step for f in frames], dtype=np.float64)
             low, high = np.array([f.since.potential_range for f in frames]).transpose(1, 0, 2)
@@ -235,15 +235,9 @@ def _map_words(full: float, positive: Rgb, negative: Rgb) -> str:
 
 def _curves_of(topology: Topology) -> dict[str, slice]:
     """Name and neurons of each curve: single neurons, or groups if there are too many."""
-    groups = {g.name: topology.neurons_of(g.name) for g in topology.neuron_groups}
     if topology.neurons > MOST_CURVES:
-        return groups
-    curves = {}
-    for name, where in groups.items():
-        for k in range(where.start, where.stop):
-            label = name if where.stop - where.start == 1 else f"{name} {k - where.start + 1}"
-            curves[label] = slice(k, k + 1)
-    return curves
+        return {g.name: topology.neurons_of(g.name) for g in topology.neuron_groups}
+    return {name: slice(k, k + 1) for k, name in enumerate(neuron_names(topology))}
 
 
 def _scores(picture: Picture, curve: Curve) -> dict[str, Points]:
@@ -284,10 +278,6 @@ def _evaluated(picture: Picture) -> str:
     latest = picture.evaluations[-1]
     said = ", ".join(f"{_frozen_name(k)} **{v:.3g}**" for k, v in latest.figures.items())
     return f"Frozen copy at step {words.count(latest.step)}: {said}."
-
-
-def _moved(frames: tuple[Frame, ...]) -> list[Frame]:
-    return [f for f in frames if f.since.steps]
 
 
 def _marks(picture: Picture) -> list[float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 
 from hebbviz.moments import Block, Frame, join
 
@@ -41,6 +42,11 @@ class Trail:
     @property
     def frames(self) -> tuple[Frame, ...]:
         return tuple(self._frames)
+
+
+def moved(frames: Sequence[Frame]) -> list[Frame]:
+    """Those that stand for steps; a picture of a run that rests stands for none."""
+    return [f for f in frames if f.since.steps]
 
 
 def _size(frame: Frame) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,6 +11,7 @@ from hebbviz.moments import Frame
 from hebbviz.task import Measure, Score, Task
 from server import palette
 from server.look import Looks
+from server.trail import moved
 from server.worker import Picture
 
 Array = NDArray[np.float64]
@@ -65,8 +65,8 @@ def score(value: Score, measure: Measure) -> str:
 
 def shown(picture: Picture) -> str:
     """Which steps are seen, how many in one picture, and what the neurons' light means."""
-    moved = [f.since.steps for f in picture.shown_trail if f.since.steps]
-    each = max(moved[-1 if picture.paused else -3 :], default=1)
+    lengths = [f.since.steps for f in moved(picture.shown_trail)]
+    each = max(lengths[-1 if picture.paused else -3 :], default=1)
     light = "a lit neuron fired" if each <= 3 else "light is the firing rate"
     scale = f"one picture = {steps(each)}: {light}"
     excerpt = picture.excerpt
@@ -89,10 +89,8 @@ def stuck(frames: Sequence[Frame]) -> str | None:
     """Why nothing is learnt any more, and what helps; None if the latest frames show no sign."""
     steps, spikes = 0, np.zeros(0)
     low, high = np.zeros(0), np.zeros(0)
-    for frame in reversed(frames):
+    for frame in reversed(moved(frames)):
         since = frame.since
-        if not since.steps:
-            continue
         if not steps:
             spikes = np.zeros(len(since.spikes))
             low, high = since.potential_range
@@ -130,10 +128,6 @@ def health(picture: Picture, pictures_per_second: float, age: float, tabs: int) 
         f"`{pictures_per_second:4.1f} pictures/s` · `{1000 * age:3.0f} ms old` · "
         f"{tabs} tab{'s' * (tabs != 1)}"
     )
-
-
-def log10(gamma: float) -> float:
-    return math.log10(gamma) if gamma > 0 else -math.inf
 
 
 def speed(picture: Picture) -> str:
