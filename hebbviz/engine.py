@@ -37,13 +37,16 @@ _INPUTS, _U, _V, _FIRED, _BY_HAND, _REWARD, _TALLY = (
 
 
 @inlined
-def _broadcast(state, table, reward, ended):  # type: ignore[no-untyped-def]
-    """The reward pipeline: the task's r + reward given by hand, sent to every synapse."""
+def _broadcast(state, table, row, reward, ended, instead):  # type: ignore[no-untyped-def]
+    """The reward pipeline: the task's r + reward given by hand, sent to every synapse.
+
+    Where `instead` has rows, its row is sent in place of the task's r.
+    """
     head = table[0]
     r, tally, by_hand = at(head, _REWARD), at(head, _TALLY), at(head, _BY_HAND)
     for lane in range(state.shape[1]):
         raw = reward[lane]
-        sent = raw + state[by_hand, lane]
+        sent = (instead[row] if instead.shape[0] > 0 else raw) + state[by_hand, lane]
         state[by_hand, lane] = 0.0
         state[r, lane] = raw
         state[r + 1, lane] = sent
@@ -53,7 +56,9 @@ def _broadcast(state, table, reward, ended):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _note(state, table, lane, row, ended, spikes, rewards, counts, extremes, probes):  # type: ignore[no-untyped-def]
+def _note(  # type: ignore[no-untyped-def]
+    state, table, lane, row, ended, spikes, rewards, potentials, counts, extremes, probes
+):
     """Write one step into the block and into the summary. A probe is five rows of the state."""
     head = table[0]
     neurons = at(head, _NEURONS)
@@ -64,6 +69,8 @@ def _note(state, table, lane, row, ended, spikes, rewards, counts, extremes, pro
         extremes[0, i] = min(extremes[0, i], potential)
         extremes[1, i] = max(extremes[1, i], potential)
         spikes[row, i] = np.uint8(spike)
+        if potentials.shape[0] > 0:
+            potentials[row, i] = potential
     for k in range(probes.shape[0]):
         z = state[probes[k, 0], lane]
         if probes[k, 1] >= 0:  # held input, see rule
@@ -78,32 +85,37 @@ def _note(state, table, lane, row, ended, spikes, rewards, counts, extremes, pro
 
 @compiled
 def settle(  # type: ignore[no-untyped-def]
-    state, table, observation, reward, ended, watch, row, spikes, rewards, counts, extremes, probes
-):
+    state, table, observation, reward, ended, instead, watch, row, spikes, rewards, potentials,
+    counts, extremes, probes,
+):  # fmt: skip
     """All that follows the answer of a world stepped by Python; see `run` for the arguments.
 
     Returns False, and changes nothing, if an observation or a reward is not finite.
     """
     if not (np.isfinite(observation).all() and np.isfinite(reward).all()):
         return False
-    _broadcast(state, table, reward, ended)
+    _broadcast(state, table, row, reward, ended, instead)
     reinforce(state, table)
     if watch >= 0:
-        _note(state, table, watch, row, ended, spikes, rewards, counts, extremes, probes)
+        _note(
+            state, table, watch, row, ended, spikes, rewards, potentials, counts, extremes, probes
+        )
     hold(state, table, observation)
     return True
 
 
 @compiled
 def run(  # type: ignore[no-untyped-def]
-    n, start, answer, state, table, keys, low, high, world, data, observation,
-    watch, spikes, rewards, counts, extremes, probes,
+    n, start, answer, state, table, keys, low, high, world, data, observation, instead,
+    watch, spikes, rewards, potentials, worlds, counts, extremes, probes,
 ):  # fmt: skip
     """`n` steps of a compiled world, the first of them number `start`.
 
-    `watch` is the lane that is noted, or -1 for none. What is noted: `spikes` (n, neurons),
-    `rewards` (n, 3: of the task, as broadcast, episode ended), and over all steps `counts`
-    (neurons), `extremes` (2, neurons + probes: least and greatest v and z).
+    `instead` (n or 0) is broadcast in place of the task's reward. `watch` is the lane that is
+    noted, or -1 for none. What is noted: `spikes` (n, neurons), `rewards` (n, 3: of the task, as
+    broadcast, episode ended), if they have rows `potentials` (n, neurons) and `worlds`
+    (n, numbers), and over all steps `counts` (neurons), `extremes` (2, neurons + probes: least
+    and greatest v and z).
     """
     lanes = state.shape[1]
     outputs = at(table[0], _OUTPUTS)
@@ -117,9 +129,13 @@ def run(  # type: ignore[no-untyped-def]
             for lane in range(lanes):
                 action[i, lane] = state[first + i, lane]
         new_input = answer(world, action, data, keys, start + t, observation, reward, ended)
-        _broadcast(state, table, reward, ended)
+        _broadcast(state, table, t, reward, ended, instead)
         reinforce(state, table)
         if watch >= 0:
-            _note(state, table, watch, t, ended, spikes, rewards, counts, extremes, probes)
+            _note(
+                state, table, watch, t, ended, spikes, rewards, potentials, counts, extremes, probes
+            )
+            if worlds.shape[0] > 0:
+                worlds[t] = world[:, watch]
         if new_input:
             hold(state, table, observation)

@@ -7,6 +7,7 @@ The trajectory is a pure function of task, topology, parameters and seed, and of
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,24 @@ EVALUATION_STEP = 2**40
 
 class TaskError(Exception):
     """A task raised or broke its contract in mid-run; the learner is at the step before."""
+
+
+class _Notes(NamedTuple):
+    """What `engine.run` writes of each step: fired, rewards, and if asked for v and the world."""
+
+    fired: NDArray[np.uint8]
+    rewards: Array
+    potentials: Array
+    worlds: Array
+
+    @classmethod
+    def of(cls, steps: int, neurons: int, numbers: int | None) -> _Notes:
+        """Room for `steps`; `numbers` of the world's state, None if v and state are not asked."""
+        near = 0 if numbers is None else steps
+        return cls(
+            np.zeros((steps, neurons), dtype=np.uint8), np.zeros((steps, 3)),
+            np.zeros((near, neurons)), np.zeros((near, numbers or 0)),
+        )  # fmt: skip
 
 
 class Learner:
@@ -97,58 +116,69 @@ class Learner:
 
     # Moving on
 
-    def advance(self, steps: int) -> Block:
+    def advance(self, steps: int, *, closely: bool = False, reward: Array | None = None) -> Block:
         """Run `steps` steps and return what happened in each of them, in the watched lane.
+
+        `closely`: potentials and the world's state of every step too. `reward` (steps,): what
+        every synapse is sent in place of the task's reward, for controls and comparisons.
 
         Raises TaskError if the task fails; the learner is then at the end of the last good step.
         """
         start = self.step
-        fired = np.zeros((check_steps(steps), self.topology.neurons), dtype=np.uint8)
-        rewards = np.zeros((steps, 3))
+        notes = _Notes.of(check_steps(steps), self.topology.neurons, self._numbers_if(closely))
+        instead = np.zeros(0) if reward is None else np.array(reward, dtype=np.float64)
+        if reward is not None and not (instead.shape == (steps,) and np.isfinite(instead).all()):
+            raise ValueError(f"reward must be {steps} finite numbers, one for each step")
         try:
-            self._run(steps, self.watch, fired, rewards)
+            self._run(steps, self.watch, notes, instead)
         finally:
             self._summed_steps += self.step - start
-        return Block(start, fired, rewards[:, 0], rewards[:, 1], rewards[:, 2] > 0)
+        r = notes.rewards
+        return Block(
+            start, notes.fired, r[:, 0], r[:, 1], r[:, 2] > 0, notes.potentials, notes.worlds
+        )
 
     def skip(self, steps: int) -> None:
         """`advance` without notes: the same run, faster. The next Frame sums up from its end."""
         try:
-            self._run(
-                check_steps(steps), NOBODY, np.zeros((0, 0), dtype=np.uint8), np.zeros((0, 3))
-            )
+            self._run(check_steps(steps), NOBODY, _Notes.of(0, 0, None), np.zeros(0))
         finally:
             self._new_summary()
 
-    def _run(self, steps: int, watch: int, fired: NDArray[np.uint8], rewards: Array) -> None:
+    def _numbers_if(self, closely: bool) -> int | None:
+        return len(self._lane_states()[self.watch]) if closely else None
+
+    def _run(self, steps: int, watch: int, notes: _Notes, instead: Array) -> None:
         if isinstance(self.task, CompiledTask):
-            self._run_compiled(self.task, steps, watch, fired, rewards)
+            self._run_compiled(self.task, steps, watch, notes, instead)
         else:
             for row in range(steps):
-                self._step_python(row, watch, fired, rewards)
+                self._step_python(row, watch, notes, instead)
 
     def _run_compiled(
-        self, task: CompiledTask, steps: int, watch: int, fired: NDArray[np.uint8], rewards: Array
+        self, task: CompiledTask, steps: int, watch: int, notes: _Notes, instead: Array
     ) -> None:
         engine.run(
             steps, self.step, task.answer, self.network, self.layout.table, self._keys,
-            *self.topology.activity, self._world, self._data, self._observed, watch, fired,
-            rewards, self._counts, self._extremes, self._probe_rows,
+            *self.topology.activity, self._world, self._data, self._observed, instead, watch,
+            *notes, self._counts, self._extremes, self._probe_rows,
         )  # fmt: skip
         self.step += steps
 
-    def _step_python(self, row: int, watch: int, fired: NDArray[np.uint8], rewards: Array) -> None:
+    def _step_python(self, row: int, watch: int, notes: _Notes, instead: Array) -> None:
         """One step of a world in Python; if the world fails, nothing has happened."""
         np.copyto(self._before, self.network)
         rule.respond(
             self.network, self.layout.table, self._keys, self.step, *self.topology.activity
         )
+        fired, rewards, potentials, worlds = notes
         try:
             states = [self._answer(lane) for lane in range(self.lanes)]
             self._set_clamps(states)
             accepted = engine.settle(
                 self.network, self.layout.table, self._observed, self._reward, self._ended,
-                watch, row, fired, rewards, self._counts, self._extremes, self._probe_rows,
+                instead, watch, row, fired, rewards, potentials, self._counts, self._extremes,
+                self._probe_rows,
             )  # fmt: skip
             if not accepted:
                 raise ValueError("an observation or a reward is not a finite number")
@@ -157,6 +187,8 @@ class Learner:
             if not isinstance(error, Exception):  # Ctrl-C
                 raise
             raise _task_error(self.task, error) from error
+        if len(worlds):
+            worlds[row] = states[watch]
         self._states = states
         self.step += 1
 

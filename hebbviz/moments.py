@@ -6,6 +6,7 @@ raster. A `Keyframe` is a moment from which a run can be made again. All own the
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -29,12 +30,22 @@ class Keyframe:
     gamma: Array
     frozen: bool
 
+    def digest(self) -> str:
+        """SHA-256 of all of it, bit for bit, as 64 hexadecimal digits."""
+        digest = hashlib.sha256(f"{self.step} {self.frozen}".encode())
+        for array in (self.network, self.world, self.gamma):
+            digest.update(f" {array.shape} ".encode())
+            digest.update(array.astype("<f8").tobytes())
+        return digest.hexdigest()
+
 
 @dataclass(frozen=True)
 class Block:
     """Every one of the n steps from `start`: who fired, and the rewards.
 
-    `fired` (n, neurons) of 0 and 1; `reward` and `broadcast` (n,); `ended` (n,) bool.
+    `fired` (n, neurons) of 0 and 1; `reward` and `broadcast` (n,); `ended` (n,) bool. Seen
+    closely, also `potential` v (n, neurons) and `world`, the task's state after each step
+    (n, numbers); else these have no rows.
     """
 
     start: int
@@ -42,6 +53,8 @@ class Block:
     reward: Array
     broadcast: Array
     ended: NDArray[np.bool_]
+    potential: Array
+    world: Array
 
     @property
     def end(self) -> int:
@@ -50,28 +63,30 @@ class Block:
 
     def tail(self, steps: int) -> Block:
         """The last `steps` steps, or all if there are fewer."""
-        cut = max(0, len(self.fired) - steps)
-        return Block(
-            self.start + cut,
-            self.fired[cut:],
-            self.reward[cut:],
-            self.broadcast[cut:],
-            self.ended[cut:],
-        )
+        return self.part(max(self.start, self.end - steps), self.end)
+
+    def part(self, first: int, end: int) -> Block:
+        """Those of its steps that are from `first` on and before `end`."""
+        cut = slice(max(0, first - self.start), max(0, end - self.start))
+        start = min(max(first, self.start), self.end)
+        return Block(start, **{name: getattr(self, name)[cut] for name in _BLOCK_ARRAYS})
+
+
+_BLOCK_ARRAYS = ("fired", "reward", "broadcast", "ended", "potential", "world")
 
 
 def join(blocks: Sequence[Block]) -> Block:
-    """Blocks that follow on one another as one; raises ValueError if they do not."""
+    """Blocks that follow on one another as one; raises ValueError if they do not.
+
+    It is seen closely if all of them are.
+    """
     for before, after in pairwise(blocks):
         if before.end != after.start:
             raise ValueError(f"a block that starts at {after.start} does not follow on")
-    return Block(
-        blocks[0].start,
-        np.concatenate([b.fired for b in blocks]),
-        np.concatenate([b.reward for b in blocks]),
-        np.concatenate([b.broadcast for b in blocks]),
-        np.concatenate([b.ended for b in blocks]),
-    )
+    arrays = {name: [getattr(b, name) for b in blocks] for name in _BLOCK_ARRAYS}
+    if any(len(b.potential) < len(b.fired) for b in blocks):
+        arrays["potential"], arrays["world"] = [np.zeros((0, 0))], [np.zeros((0, 0))]
+    return Block(blocks[0].start, **{name: np.concatenate(a) for name, a in arrays.items()})
 
 
 @dataclass(frozen=True)

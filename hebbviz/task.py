@@ -128,6 +128,15 @@ class Pose:
 
 
 @dataclass(frozen=True)
+class Reading:
+    """A number of the world to be recorded and plotted; `steps`: it jumps, and holds between."""
+
+    name: str
+    unit: str = ""
+    steps: bool = False
+
+
+@dataclass(frozen=True)
 class Control:
     """A button of the task on the page; pressing it calls `Task.press` with its name."""
 
@@ -160,6 +169,8 @@ class Task:
     measure: ClassVar[Measure] = Measure("average reward", "average_reward", "per step")
     frozen_figures: ClassVar[tuple[str, ...]] = ()
     """Keys of `evaluate` for the learning curve; fractions where the measure is in %."""
+    readings: ClassVar[tuple[Reading, ...]] = ()
+    """What recordings plot of the world, in the order of `read`."""
     props: Sequence[Prop] = ()
     controls: ClassVar[tuple[Control, ...]] = ()
     natural_speed: ClassVar[float | None] = None
@@ -217,6 +228,21 @@ class Task:
     def pose(self, state: Array) -> Pose:
         """The scene of a state."""
         return Pose(np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)))
+
+    def poses(self, states: Array) -> tuple[Array, Array, Array]:
+        """Positions, rotations and scales of many states (n, numbers), each (n, props, 3 or 4).
+
+        As `pose` says for each of them; worth writing for a task whose recordings show a world.
+        """
+        poses = [self.pose(state) for state in states]
+        return (
+            np.array([p.position for p in poses]), np.array([p.rotation for p in poses]),
+            np.array([p.scale for p in poses]),
+        )  # fmt: skip
+
+    def read(self, states: Array) -> Array:
+        """The `readings` of many states: (n, numbers) in, (n, readings) out."""
+        return np.zeros((len(states), 0))
 
     # How well it goes
 

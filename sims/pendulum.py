@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.task import Input, Measure, Output, Pose, Preset, Prop, Score, Tally, Task
+from hebbviz.task import Input, Measure, Output, Pose, Preset, Prop, Reading, Score, Tally, Task
 from sims.arena import Arena
 from sims.pendulum_physics import PLANT, fallen, restart
 
@@ -63,6 +63,10 @@ class Pendulum(Task):
             {"gains": _SI},
         ),
     }  # fmt: skip
+    readings = (
+        Reading("tilt", "°"), Reading("puck x", "m"), Reading("puck y", "m"),
+        Reading("thrust x", "N", steps=True), Reading("thrust y", "N", steps=True),
+    )  # fmt: skip
     props = (
         Prop("floor", "box", "world"),
         *(Prop(f"wall {k}", "box", "world strong") for k in range(4)),
@@ -111,7 +115,14 @@ class Pendulum(Task):
         return Score(seconds / max(1.0, tally.ended), is_bound=tally.ended == 0)
 
     def pose(self, state: Array) -> Pose:
-        return _pose(state)
+        position, rotation, scale = self.poses(state[None])
+        return Pose(position[0], rotation[0], scale[0], words=_words(state))
+
+    def poses(self, states: Array) -> tuple[Array, Array, Array]:
+        return _poses(states)
+
+    def read(self, states: Array) -> Array:
+        return np.column_stack((_tilt(states[:, 6]), states[:, :2], states[:, 10:12]))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Pendulum, (self.preset_name,)
@@ -121,41 +132,52 @@ _SEEN = [0, 1, 2, 3, 4, 5, 7, 8]
 """Position, velocity, horizontal part of the rod and of its rate, in the ten numbers."""
 
 
-def _pose(state: Array) -> Pose:
-    x, y, rod = state[0], state[1], state[4:7]
-    fx, fy = state[10:12] / PLANT.thrust
+def _poses(states: Array) -> tuple[Array, Array, Array]:
+    """Position, rotation and scale of the props, in their order, for states (n, numbers)."""
     side, length = PLANT.side, PLANT.rod_length * _DRAWN
-    base = np.array([x, y, 0.12])
     middle, edge = side / 2 + _WALL / 2, side + 2 * _WALL
     arrow, reach, gap = 0.06, 0.5, _PUCK / 2 + 0.04
-    parts = (
-        # position, scale
-        ((0, 0, -0.03), (side, side, 0.04)),
-        ((-middle, 0, 0.03), (_WALL, edge, 0.12)),
-        ((middle, 0, 0.03), (_WALL, edge, 0.12)),
-        ((0, -middle, 0.03), (edge, _WALL, 0.12)),
-        ((0, middle, 0.03), (edge, _WALL, 0.12)),
-        ((x, y, 0.06), (_PUCK, _PUCK, 0.12)),
-        (tuple(base + rod * length / 2), (_ROD, _ROD, length)),
-        (tuple(base + rod * length), (_BOB, _BOB, _BOB)),
-        ((x + fx * (gap + reach / 2), y, 0.06), (abs(fx) * reach, arrow, arrow)),
-        ((x, y + fy * (gap + reach / 2), 0.06), (arrow, abs(fy) * reach, arrow)),
-    )
-    rotation = np.zeros((len(parts), 4))
-    rotation[:, 0] = 1.0
-    rotation[6] = _turn_up_to(rod)
-    tilt = np.degrees(np.arccos(np.clip(rod[2], -1, 1)))
-    return Pose(
-        np.array([p for p, _ in parts], dtype=np.float64),
-        rotation,
-        np.array([s for _, s in parts], dtype=np.float64),
-        words=f"tilt `{tilt:4.1f}°` · puck at `{x:+.2f}, {y:+.2f} m` · "
-        f"puck and rod drawn {_DRAWN:g} times their size",
+    n = len(states)
+    position = np.tile(
+        np.array([(0, 0, -0.03), (-middle, 0, 0.03), (middle, 0, 0.03), (0, -middle, 0.03),
+                  (0, middle, 0.03), *(((0, 0, 0.06),) * 5)]), (n, 1, 1)
+    )  # fmt: skip
+    scale = np.tile(
+        np.array([(side, side, 0.04), (_WALL, edge, 0.12), (_WALL, edge, 0.12),
+                  (edge, _WALL, 0.12), (edge, _WALL, 0.12), (_PUCK, _PUCK, 0.12),
+                  (_ROD, _ROD, length), (_BOB, _BOB, _BOB), (0, arrow, arrow),
+                  (arrow, 0, arrow)]), (n, 1, 1)
+    )  # fmt: skip
+    rotation = np.tile(np.array([1.0, 0.0, 0.0, 0.0]), (n, len(Pendulum.props), 1))
+    puck, rod, force = states[:, :2], states[:, 4:7], states[:, 10:12] / PLANT.thrust
+    position[:, 5:, :2] += puck[:, None]
+    position[:, 6] += (0.0, 0.0, 0.06) + rod * length / 2
+    position[:, 7] += (0.0, 0.0, 0.06) + rod * length
+    for axis, prop in enumerate((8, 9)):
+        position[:, prop, axis] += force[:, axis] * (gap + reach / 2)
+        scale[:, prop, axis] = np.abs(force[:, axis]) * reach
+    rotation[:, 6] = _turns_up_to(rod)
+    return position, rotation, scale
+
+
+def _words(state: Array) -> str:
+    return (
+        f"tilt `{_tilt(state[6]):4.1f}°` · puck at `{state[0]:+.2f}, {state[1]:+.2f} m` · "
+        f"puck and rod drawn {_DRAWN:g} times their size"
     )
 
 
-def _turn_up_to(direction: Array) -> Array:
-    """The quaternion (w, x, y, z) that turns the z axis to a unit vector above the ground."""
-    half = np.array([1.0 + direction[2], -direction[1], direction[0], 0.0])
-    length = np.linalg.norm(half)
-    return half / length if length > 1e-9 else np.array([0.0, 1.0, 0.0, 0.0])
+def _tilt(upward: Any) -> Any:
+    """Angle from the vertical in degrees, from the upward part of the rod's unit vector."""
+    return np.degrees(np.arccos(np.clip(upward, -1.0, 1.0)))
+
+
+def _turns_up_to(directions: Array) -> Array:
+    """Quaternions (w, x, y, z) that turn the z axis to unit vectors (n, 3) above the ground."""
+    half = np.stack(
+        (1.0 + directions[:, 2], -directions[:, 1], directions[:, 0], np.zeros(len(directions))),
+        axis=1,
+    )
+    length = np.linalg.norm(half, axis=1, keepdims=True)
+    down = np.array([0.0, 1.0, 0.0, 0.0])
+    return np.where(length > 1e-9, half / np.maximum(length, 1e-9), down)

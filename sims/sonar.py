@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from hebbviz.chance import WORLD, Draws, four_uniforms
 from hebbviz.engine import WORLD as WORLD_SIGNATURE
 from hebbviz.learner import Learner
-from hebbviz.task import CompiledTask, Input, Measure, Output, Pose, Preset, Score, Tally
+from hebbviz.task import CompiledTask, Input, Measure, Output, Pose, Preset, Reading, Score, Tally
 
 Array = NDArray[np.float64]
 
@@ -114,6 +114,10 @@ class Sonar(CompiledTask):
     weight_range = 0.1
     measure = Measure("error while learning", "error", "%", span=(0.0, 60.0))
     frozen_figures = ("training_error", "test_error")
+    readings = (
+        Reading("pattern", steps=True), Reading("class", "mine 1, rock -1", steps=True),
+        Reading("prediction", "mine 1, rock -1", steps=True),
+    )  # fmt: skip
     presets = {
         "quick": Preset(0.5, 1e-3, "γ ten times the paper's, all else as in the paper"),
         "paper": Preset(0.5, 1e-4, "the paper's β and γ: allow it 2 000 epochs"),
@@ -160,6 +164,12 @@ class Sonar(CompiledTask):
 
     def results(self, learner: Learner, late: Tally) -> dict[str, float]:
         return self.evaluate(learner)
+
+    def read(self, states: Array) -> Array:
+        """Patterns are counted from 1, as on the page."""
+        pattern = states[:, _PATTERN].astype(np.int64)
+        label = load()[pattern, ENERGIES]
+        return np.column_stack((pattern + 1.0, label, states[:, _PREDICTION]))
 
     def pose(self, state: Array) -> Pose:
         nothing = super().pose(state)

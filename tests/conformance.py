@@ -162,6 +162,20 @@ def check_pose(make_task: MakeTask) -> None:
     assert {p.shape for p in task.props} <= {"box", "sphere", "cylinder"}
 
 
+def check_many_states(make_task: MakeTask) -> None:
+    """What is told of many states at once is what is told of each."""
+    task = make_task()
+    states = np.array(Walk(task, steps=200).states)
+    poses = [task.pose(state) for state in states]
+    for together, name in zip(task.poses(states), ("position", "rotation", "scale"), strict=True):
+        assert np.allclose(together, [getattr(p, name) for p in poses], rtol=0, atol=1e-12)
+    readings = task.read(states)
+    assert readings.shape == (len(states), len(task.readings))
+    assert np.isfinite(readings).all()
+    assert np.array_equal(readings, [task.read(s[None])[0] for s in states])
+    assert len({r.name for r in task.readings}) == len(task.readings)
+
+
 def check_controls(make_task: MakeTask) -> None:
     task = make_task()
     names = [c.name for c in task.controls]
@@ -263,6 +277,7 @@ CHECKS: tuple[Callable[[MakeTask], None], ...] = (
     check_nothing_is_modified,
     check_draws,
     check_pose,
+    check_many_states,
     check_controls,
     check_runs_repeat,
     check_lanes,

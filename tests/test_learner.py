@@ -1,5 +1,6 @@
 """One trajectory, to the bit, however it was cut, watched, saved or accompanied."""
 
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from conformance import same_learner
 
 from hebbviz.files import load, save
 from hebbviz.learner import Learner
+from hebbviz.moments import join
 from hebbviz.task import Tally
 from hebbviz.topology import Topology
 from sims.loading import make_task
@@ -332,3 +334,74 @@ def test_what_is_out_of_range_is_refused_and_changes_nothing(call, words):
     learner.advance(10)
     untouched.advance(10)
     assert same_learner(learner, untouched)
+
+
+@EACH
+def test_looking_closely_makes_no_difference_and_tells_every_step(run):
+    plain, close = new(run, seed=5, lanes=2), new(run, seed=5, lanes=2)
+    for learner in (plain, close):
+        learner.watch = 1
+    frames = []
+    for _ in range(60):
+        plain.advance(1)
+        frames.append(plain.frame())
+    parts = [close.advance(n, closely=True) for n in (1, 0, 20, 39)]
+    assert same_learner(plain, close)
+    block = join(parts)
+    assert np.array_equal(block.potential, [f.potential for f in frames])
+    assert np.array_equal(block.world, [f.world for f in frames])
+    assert np.array_equal(block.fired, [f.fired for f in frames])
+
+
+def test_parts_of_a_block_are_its_steps():
+    learner = new("pendulum", seed=2)
+    learner.advance(10)
+    block = learner.advance(50, closely=True)
+    part = block.part(20, 35)
+    assert (part.start, part.end) == (20, 35)
+    for name in ("fired", "reward", "broadcast", "ended", "potential", "world"):
+        assert np.array_equal(getattr(part, name), getattr(block, name)[10:25])
+    assert len(block.part(0, 5).fired) == len(block.part(70, 90).fired) == 0
+    assert block.tail(7).start == 53
+    far = learner.advance(3)
+    assert len(join([block, far]).fired) == 53
+    assert len(join([block, far]).potential) == 0, "not all of it was seen closely"
+    with pytest.raises(ValueError, match="does not follow on"):
+        join([far, block])
+
+
+@EACH
+def test_a_reward_in_place_of_the_tasks_own(run):
+    own, same, other = (new(run, seed=4) for _ in range(3))
+    block = own.advance(300)
+    again = same.advance(300, reward=block.reward)
+    assert same_learner(own, same), "its own reward given back changes nothing"
+    assert np.array_equal(again.reward, block.reward)
+    given = np.sin(np.arange(300.0))
+    told = other.advance(300, reward=given)
+    assert np.array_equal(told.broadcast, given)
+    still = new(run, seed=4)
+    before = still.weights
+    still.advance(300, reward=np.zeros(300))
+    assert np.array_equal(still.weights, before), "without reward no weight moves"
+    assert still.tally().broadcast == 0.0
+
+
+@pytest.mark.parametrize("reward", [np.zeros(3), np.full(5, np.nan), np.full(5, np.inf)])
+def test_rewards_that_do_not_fit_are_refused(reward):
+    with pytest.raises(ValueError, match="reward must be 5 finite numbers"):
+        new("sonar").advance(5, reward=reward)
+
+
+@EACH
+def test_a_keyframes_digest_tells_every_bit(run):
+    learner = straight(run, seed=3)
+    keyframe = learner.keyframe()
+    digest = keyframe.digest()
+    assert digest == straight(run, seed=3).keyframe().digest()
+    for change in ("network", "world", "gamma"):
+        array = getattr(keyframe, change).copy()
+        array.flat[0] = np.nextafter(array.flat[0], np.inf)
+        assert replace(keyframe, **{change: array}).digest() != digest
+    assert replace(keyframe, step=keyframe.step + 1).digest() != digest
+    assert replace(keyframe, frozen=True).digest() != digest
