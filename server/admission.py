@@ -16,6 +16,8 @@ from viser import _messages as viser_messages
 
 MAX_TEXT = 10_000
 MAX_SHOWN = 40
+MAX_STEP = 2**53
+"""Whole numbers below this are the same on a page, where all numbers are floats."""
 
 
 class Refused(Exception):
@@ -24,6 +26,17 @@ class Refused(Exception):
     def __init__(self, kind: str, line: str, widget: Any = None) -> None:
         super().__init__(line)
         self.kind, self.line, self.widget = kind, line, widget
+
+
+class MovingSlider(gui.GuiSliderHandle[int]):
+    """A slider in the place of another, whose ends move with the run.
+
+    A page may still go by the ends of a moment ago, so values beyond them are let through; whoever
+    reads this slider keeps them within.
+    """
+
+    def __init__(self, slider: gui.GuiSliderHandle[int]) -> None:
+        super().__init__(slider._impl)  # noqa: SLF001  # viser has no slider of other kinds
 
 
 Finite = Annotated[float, msgspec.Meta(ge=-1e300, le=1e300)]  # NaN fails both comparisons
@@ -169,6 +182,11 @@ def _number_rule(widget: Any, value: object) -> str | None:
     return f"{kind} between {low} and {high}" if whole else f"between {low} and {high}"
 
 
+def _moving_rule(_: Any, value: object) -> str | None:
+    fits = isinstance(value, int) and not isinstance(value, bool) and 0 <= value < MAX_STEP
+    return None if fits else f"a whole number from 0 to below {MAX_STEP}"
+
+
 def _switch_rule(_: Any, value: object) -> str | None:
     return None if isinstance(value, bool) else "on or off"
 
@@ -203,6 +221,7 @@ def _closed_rule(_: Any, __: object) -> str:
 _RULES: dict[type, Callable[[Any, object], str | None]] = {
     gui.GuiSliderHandle: _number_rule,
     gui.GuiNumberHandle: _number_rule,
+    MovingSlider: _moving_rule,
     gui.GuiCheckboxHandle: _switch_rule,
     gui.GuiButtonHandle: _button_rule,
     gui.GuiTextHandle: _text_rule,

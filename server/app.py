@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-import contextlib
 import ipaddress
-import os
 import socket
 import sys
 import threading
-import webbrowser
 from typing import TYPE_CHECKING
 
-from hebbviz.learner import TaskError
-from server import guard
+from server import guard, words
 from server.commands import REALTIME, SetSpeed, check_speed
 from server.interrupts import Interrupts
+from server.making import maker
 from server.page import Page
+from server.recording.recordings import Options, Recordings
 from server.run import Run
 from server.train import announced_compiling, warm_up
+from server.window import open_window
 from server.worker import Worker
-from sims import TASKS
-from sims.loading import make_task
 
 if TYPE_CHECKING:
     from hebbviz.learner import Learner
     from hebbviz.task import Task
     from server.commands import Speed
-    from server.run import MakeTask
 
 DEFAULT_PORT = 8080
 SHUTDOWN_SECONDS = 1.0
@@ -42,14 +38,15 @@ def serve(
     speed: Speed | None = None,
     open_browser: bool = False,
     task_name: str | None = None,
+    recording: Options | None = None,
     stop: threading.Event | None = None,
 ) -> None:
     """Show `learner` on a page and let it run, until Ctrl-C, SIGTERM or `stop`.
 
     It listens at `host` and `port`; with no port, at the default one or the next free one above
     it. `speed` is in steps per second, or 'realtime' or 'max'; by default what suits the task.
-    `task_name` is what the user calls the task, where that is not its own name. `stop` is an
-    event that ends it, for programs that run this in a thread.
+    `task_name` is what the user calls the task, where that is not its own name. `recording` says
+    what to record. `stop` is an event that ends it, for programs that run this in a thread.
 
     Raises ValueError if one of these is out of range or the task has no dt to run at 'realtime',
     OSError if the address cannot be listened on, and TaskError if the task fails in its first
@@ -58,7 +55,10 @@ def serve(
 
     def prepare() -> Site:
         with announced_compiling(lambda: _say(COMPILING)):
-            return Site(learner, host=host, port=port, speed=speed, task_name=task_name)
+            return Site(
+                learner, host=host, port=port, speed=speed, task_name=task_name,
+                recording=recording,
+            )  # fmt: skip
 
     with Interrupts(stop) as interrupts:
         site = interrupts.prepare(prepare)
@@ -66,7 +66,10 @@ def serve(
 
 
 class Site:
-    """A learner ready to be shown; raises as `serve` does. It listens from here on."""
+    """A learner ready to be shown; raises as `serve` does. It listens from here on.
+
+    With a `past`, a run that was read from a recording, that run is played back.
+    """
 
     def __init__(
         self,
@@ -76,17 +79,24 @@ class Site:
         port: int | None,
         speed: Speed | None,
         task_name: str | None,
+        recording: Options | None = None,
+        past: Run | None = None,
     ) -> None:
         check_start(learner.task, speed)
+        self._past = past is not None
+        self.is_stuck = False
+        self._options = recording or Options()
+        self._recordings: Recordings | None = None
         self._host, self._asked_port, self._speed = host, port, speed
         self._page: Page | None = None
         self._worker: Worker | None = None
-        self._run = Run(learner, _maker(learner, task_name), task_name)
+        self._run = past or Run(learner, maker(learner.task, task_name), task_name)
         self._server = guard.open_server(
             host, port, default_port=DEFAULT_PORT, on_refusal=self._notify
         )
         try:
             warm_up(learner)
+            self._recordings = Recordings(self._run, self._options, on_notice=self._say_notice)
         except BaseException:
             self._server.stop()
             raise
@@ -102,13 +112,16 @@ class Site:
         """Show it and step it until `stop` is set; then close everything."""
         try:
             page = self._page = Page(self._server)
-            worker = self._worker = Worker(self._run, on_notice=page.notify)
+            worker = self._worker = Worker(
+                self._run, on_notice=page.notify, recordings=self._recordings,
+                in_the_past=self._past,
+            )  # fmt: skip
             if self._speed is not None:
                 worker.send(SetSpeed(self._speed))
             worker.start()
             self._announce()
-            if open_browser and has_display():
-                threading.Thread(target=_open, args=(self.address,), daemon=True).start()
+            if open_browser:
+                open_window(self.address)
             page.run(worker, stop)
         finally:
             self._close()
@@ -122,6 +135,11 @@ class Site:
                 f"warning: {self._host} can be reached from other machines and there is no "
                 "password: whoever reaches it can drive this page"
             )
+        if self._options.file is not None and self._recordings is not None:
+            status = self._recordings.status
+            _say(f"recording into {status.where if status else self._options.file}")
+        if self._recordings is not None and self._recordings.stream_url is not None:
+            _say(f"see it live in rerun's viewer: rerun {self._recordings.stream_url}")
         _say(f"hebbviz is at {self.address} (stop it with Ctrl-C)")
 
     def _close(self) -> None:
@@ -133,6 +151,21 @@ class Site:
         if self._worker is not None:
             self._worker.join(SHUTDOWN_SECONDS)
             _say(f"stopped at step {self._run.learner.step:,}")
+        if self._recordings is not None:
+            self._end_recordings(self._recordings)
+
+    def _end_recordings(self, recordings: Recordings) -> None:
+        """End them whole; what a disk still holds up cannot be waited for."""
+        self.is_stuck = recordings.close()
+        status = recordings.status
+        if status is not None and status.error is None:
+            _say(f"recorded {words.recorded(status)} in {status.where}")
+
+    def _say_notice(self, text: str) -> None:
+        """What must be known on the terminal too."""
+        sys.stderr.write(f"hebbviz: {text}\n")
+        sys.stderr.flush()
+        self._notify(text)
 
     def _notify(self, text: str) -> None:
         """Notices of the guard, which listens before there is a page."""
@@ -156,33 +189,6 @@ def is_loopback(host: str) -> bool:
     except OSError:
         return False
     return all(ipaddress.ip_address(str(a[4][0]).partition("%")[0]).is_loopback for a in found)
-
-
-def has_display() -> bool:
-    """Whether a browser window could be opened."""
-    if sys.platform in ("win32", "darwin"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-
-
-def _maker(learner: Learner, task_name: str | None) -> MakeTask:
-    """`make_task` that also knows the learner's own task, by which it may be chosen again."""
-    own, kind = task_name or learner.task.name, type(learner.task)
-
-    def make(name: str, preset: str | None) -> Task:
-        if name != own or name in TASKS:
-            return make_task(name, preset)
-        try:
-            return kind(preset)
-        except Exception as error:
-            raise TaskError(f"task {name!r}: {type(error).__name__}: {error}") from error
-
-    return make
-
-
-def _open(address: str) -> None:
-    with contextlib.suppress(Exception):  # the address is on the terminal
-        webbrowser.open(address)
 
 
 def _say(line: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import viser
@@ -27,6 +27,18 @@ ROOM = 0.25
 """Left free above and below, as a share of the curves' height, so that they seldom leave."""
 MARK_HEIGHT = 0.03
 MARK: Rgb = (150, 150, 160)
+CURSOR: Rgb = (240, 72, 112)
+
+
+class Cursor(NamedTuple):
+    """A step, and the ends of the run that it is in."""
+
+    at: float
+    first: float
+    last: float
+
+
+NO_MORE: Mapping[str, Rgb] = {}
 
 
 class Chart:
@@ -52,45 +64,56 @@ class Chart:
         height: int = HEIGHT,
     ) -> None:
         self._gui, self._container, self._title = gui, container, title
-        self._names, self._dotted = tuple(series), frozenset(dotted)
+        self._usual, self._dashed, self._dotted = dict(series), frozenset(dashed), frozenset(dotted)
         self._logarithmic, self._legend, self._height = logarithmic, legend, height
-        self._series = (
-            uplot.Series(label="step"),
-            *(
-                _series(name, color, dashed=name in dashed, dotted=name in dotted)
-                for name, color in series.items()
-            ),
-            uplot.Series(
-                label="changed", stroke=css(MARK), width=0, points=_points(MARK, 9), scale="m"
-            ),
-        )
+        self._more: dict[str, Rgb] = {}
+        self._has_cursor = False
         self._holds = span is not None
         self._span = span or (0.0, 1.0)
         self._small_for = 0
         self._plot: Any = None
-        blank = [np.full(2, np.inf)] * (len(self._series) - 1)
+        blank = [np.full(2, np.inf)] * (len(self._series()) - 1)
         self._add((np.array([0.0, 1.0]), *blank), None)
 
-    def draw(self, points: Mapping[str, Points], marks: Sequence[float]) -> None:
-        """Show the points of each series and a mark at each step of `marks`."""
-        curves = [points.get(name, (np.zeros(0), np.zeros(0))) for name in self._names]
+    def draw(
+        self,
+        points: Mapping[str, Points],
+        marks: Sequence[float],
+        *,
+        cursor: Cursor | None = None,
+        more: Mapping[str, Rgb] = NO_MORE,
+    ) -> None:
+        """Show the points of each series and a mark at each step of `marks`.
+
+        `more` names and colours series besides the usual ones; `cursor` is drawn as a line upwards.
+        """
+        names = (*self._usual, *more)
+        curves = [points.get(name, (np.zeros(0), np.zeros(0))) for name in names]
         steps = [x for x, _ in curves if len(x)]
         if not steps:
             return
+        line = np.zeros(0)
+        if cursor is not None:
+            line = _upright(cursor)
+            steps.append(np.array([cursor.first, cursor.last]))
         first, last = min(x[0] for x in steps), max(x[-1] for x in steps)
         seen = np.unique([m for m in marks if first <= m <= last])
-        x = np.unique(np.concatenate([*steps, seen]))
+        x = np.unique(np.concatenate([*steps, seen, line]))
         columns = [
             (_dots_on if name in self._dotted else _line_on)(x, *curve)
-            for name, curve in zip(self._names, curves, strict=True)
+            for name, curve in zip(names, curves, strict=True)
         ]
-        fits = self._fit(np.concatenate(columns))
+        same = self._has_cursor == (cursor is not None) and self._more == more
+        fits = self._fit(np.concatenate(columns)) and same
         if self._logarithmic:  # uPlot clamps NaN to the floor there, and leaves out infinity
             columns = [np.where(np.isnan(c), np.inf, c) for c in columns]
+        if cursor is not None:
+            columns.append(_dots_on(x, line, np.array([0.0, 1.0])))
         data = (x, *columns, _dots_on(x, seen, np.full(len(seen), MARK_HEIGHT)))
         if fits:
             self._plot.data = data
         else:
+            self._more, self._has_cursor = dict(more), cursor is not None
             order = self._plot.order
             self._plot.remove()
             self._add(data, order)
@@ -113,6 +136,23 @@ class Chart:
         self._span, self._small_for = wanted, 0
         return False
 
+    def _series(self) -> tuple[uplot.Series, ...]:
+        """The axis, the curves, the cursor if there is one, and last the marks."""
+        cursor = uplot.Series(
+            label="shown", stroke=css(CURSOR), width=2, points={"show": False}, scale="m"
+        )
+        return (
+            uplot.Series(label="step"),
+            *(
+                _series(name, color, dashed=name in self._dashed, dotted=name in self._dotted)
+                for name, color in (self._usual | self._more).items()
+            ),
+            *((cursor,) if self._has_cursor else ()),
+            uplot.Series(
+                label="changed", stroke=css(MARK), width=0, points=_points(MARK, 9), scale="m"
+            ),
+        )
+
     def _add(self, data: tuple[Array, ...], order: float | None) -> None:
         y: dict[str, Any] = {"auto": False, "range": self._span}
         if self._logarithmic:
@@ -120,11 +160,16 @@ class Chart:
         scales: Any = {"x": {"time": False}, "y": y, "m": {"auto": False, "range": (0.0, 1.0)}}
         with self._container:
             self._plot = self._gui.add_uplot(
-                data, self._series, title=self._title, scales=scales, height=self._height,
+                data, self._series(), title=self._title, scales=scales, height=self._height,
                 legend={"show": self._legend, "live": False},
                 axes=({"size": 38, "space": 90}, {"size": 62}), padding=(8, 24, 0, 0),
                 cursor={"show": False}, order=order,
             )  # fmt: skip
+
+
+def _upright(cursor: Cursor) -> Array:
+    """Two places so close together that a line between them is upright."""
+    return np.array([cursor.at, cursor.at + min(0.25, 1e-4 * (cursor.last - cursor.first))])
 
 
 def _around(low: float, high: float) -> Span:

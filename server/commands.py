@@ -7,6 +7,7 @@ stepped and shown.
 
 from __future__ import annotations
 
+import enum
 import math
 from dataclasses import dataclass
 
@@ -187,7 +188,87 @@ class Probe:
     synapses: tuple[int, ...]
 
 
+@dataclass(frozen=True)
+class Seek:
+    """Show a step of the run; the run itself rests until it is taken over, or left for now."""
+
+    step: int
+
+    def __post_init__(self) -> None:
+        if self.step < 0:
+            raise ValueError(f"steps are counted from 0, got {self.step}")
+
+
+class Event(enum.Enum):
+    """What can be looked for from the step that is shown."""
+
+    CHANGE_BEFORE = "the change before"
+    NEXT_CHANGE = "the next change"
+    NEXT_REWARD = "the next reward"
+
+
+@dataclass(frozen=True)
+class SeekEvent:
+    event: Event
+
+
+@dataclass(frozen=True)
+class SetLoop:
+    """Play from the beginning again at the end."""
+
+    loop: bool
+
+
+@dataclass(frozen=True)
+class BackToNow:
+    """Leave the past and show the run where it is."""
+
+
+@dataclass(frozen=True)
+class TakeOver:
+    """Go on live from the step that is shown, with another β or γ if given."""
+
+    beta: float | None = None
+    gamma: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.beta is not None:
+            check_beta(self.beta)
+        if self.gamma is not None:
+            check_gamma(self.gamma)
+
+
+@dataclass(frozen=True)
+class StartFork:
+    """Go on from what is shown in two copies that differ in one thing, see `fork`."""
+
+    kind: str
+    value: float | None = None
+
+
+@dataclass(frozen=True)
+class EndFork:
+    """Keep one of the two copies."""
+
+    keep_other: bool = False
+
+
+@dataclass(frozen=True)
+class StartRecording:
+    """Record into a file of this name, in the folder for recordings."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class StopRecording:
+    pass
+
+
+Looking = SetWatch | SetWatchSpeed | ShowReward | ShowBeginning | Evaluate | Probe
+"""What only says how the run is looked at."""
+
 Command = (
-    Change | Pause | StepOnce | SetSpeed | Reset | Choose | Undo | SetWatch | SetWatchSpeed
-    | ShowReward | ShowBeginning | Evaluate | Probe
+    Change | Pause | StepOnce | SetSpeed | Reset | Choose | Undo | Looking | Seek | SeekEvent
+    | SetLoop | BackToNow | TakeOver | StartFork | EndFork | StartRecording | StopRecording
 )  # fmt: skip

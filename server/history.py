@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,20 +47,36 @@ class History:
         """How many steps may be run before `add` must be called."""
         return self.window - step % self.window
 
-    def add(self, total: Tally) -> None:
-        """Note the totals since the start; kept where the step is a window's edge."""
+    def add(self, total: Tally) -> bool:
+        """Note the totals since the start; kept, and True, where the step is a window's edge."""
         if total.steps % self.window or total.steps <= self._edges[-1].steps:
-            return
+            return False
         self._edges.append(total)
         if len(self._edges) > CAPACITY:
             self.window *= 2
             first, *rest = self._edges
             self._edges = [first, *(t for t in rest if t.steps % self.window == 0)]
+        return True
+
+    @property
+    def edges(self) -> tuple[Tally, ...]:
+        """The totals at the edges, the first those it began with."""
+        return tuple(self._edges)
 
     def copy(self) -> History:
-        other = History(self.window)
-        other._edges = list(self._edges)
-        return other
+        return History.of(self.window, self._edges)
+
+    def until(self, step: int) -> History:
+        """A copy without what came after a step."""
+        first, *rest = self._edges
+        return History.of(self.window, [first, *(t for t in rest if t.steps <= step)])
+
+    @classmethod
+    def of(cls, window: int, edges: Sequence[Tally]) -> History:
+        """As it was with these `edges`."""
+        made = cls(window, edges[0])
+        made._edges = list(edges)
+        return made
 
     def curve(self, now: Tally | None = None) -> Curve:
         """The windows so far; with `now`, the unfinished one too once it is half full."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import viser
 
@@ -12,8 +10,9 @@ from hebbviz.topology import Topology
 from server import palette
 from server.charts import Chart
 from server.look import endpoints
+from server.picture import Picture
 from server.trail import moved
-from server.worker import Picture
+from server.widgets import assign
 
 NEURON = "a neuron"
 
@@ -52,13 +51,13 @@ class Inspector:
         """Follow a neuron (inputs too: what they send)."""
         if 0 <= unit < self._topology.units:
             self.synapse, self.neuron = None, unit
-            _set(self._kind, NEURON)
+            assign(self._kind, "value", NEURON)
             self._offer()
 
     def pick_synapse(self, synapse: int) -> None:
         if 0 <= synapse < self._topology.synapses:
             self.synapse = synapse
-            _set(self._kind, self._topology.projections[self._projection()].name)
+            assign(self._kind, "value", self._topology.projections[self._projection()].name)
             self._offer()
 
     @property
@@ -89,15 +88,15 @@ class Inspector:
             inputs, names = self._topology.inputs, self._names
             self._from.visible = False
             self._to.options = names
-            _set(self._to, names[self.neuron if self.neuron < len(names) else inputs])
+            assign(self._to, "value", names[self.neuron if self.neuron < len(names) else inputs])
             return
         p = self._topology.projections[self._projection_chosen()]
         self._from.visible = True
         self._from.options = self._names[self._topology.units_of(p.pre)]
         self._to.options = self._names[self._topology.units_of(p.post)]
         if self.synapse is not None and self._projection() == self._projection_chosen():
-            _set(self._from, self._names[self._pre[self.synapse]])
-            _set(self._to, self._names[self._post[self.synapse]])
+            assign(self._from, "value", self._names[self._pre[self.synapse]])
+            assign(self._to, "value", self._names[self._post[self.synapse]])
 
     def _chosen(self) -> None:
         """A list was changed by hand."""
@@ -167,11 +166,6 @@ class Inspector:
             (f"rate, last {steps} step{'s' * (steps != 1)}", f"{rate:.3f} per step"),
         )
         return f"**{name}**\n\n" + _table(rows)
-
-
-def _set(handle: Any, value: str) -> None:
-    if handle.value != value:
-        handle.value = value
 
 
 def _values(frame: Frame, synapse: int) -> tuple[float, float, float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -140,14 +141,23 @@ class Looks:
         self._pictures_since_step = 0
         self.pre, _ = endpoints(topology)
 
-    def look(self, frame: Frame) -> Look:
+    def twin(self) -> Looks:
+        """For another network of the same making, to the same scales."""
+        made = Looks(self.topology, self.theme)
+        made.weight_scale, made.input_scale = self.weight_scale, self.input_scale
+        made.trace_scales = self.trace_scales
+        return made
+
+    def look(self, frame: Frame, *, beside: Frame | None = None) -> Look:
+        """How a frame is seen; the scales fit the one `beside` it too."""
         inputs = self.topology.inputs
         self._afterglow(frame)
         radius = self._radius[inputs:]
-        size = np.abs(frame.weight) / self.weight_scale.fit(np.abs(frame.weight).max(initial=0.0))
-        trace = self._trace_shares(frame)
+        both = (frame,) if beside is None else (frame, beside)
+        size = np.abs(frame.weight) / self.weight_scale.fit(_largest(f.weight for f in both))
+        trace = self._trace_shares(both)
         value = frame.activity[:inputs]
-        height = value / self.input_scale.fit(np.abs(value).max(initial=0.0))
+        height = value / self.input_scale.fit(_largest(f.activity[:inputs] for f in both))
         signs = palette.signed
         return Look(
             neuron_colors=palette.blend(self._glow, self.theme.idle, palette.SPIKE),
@@ -178,12 +188,13 @@ class Looks:
         rate = frame.since.spikes / frame.since.steps
         self._glow = np.maximum(rate, fade * self._glow)
 
-    def _trace_shares(self, frame: Frame) -> Array:
-        """Traces as shares of the full size, projection by projection."""
+    def _trace_shares(self, both: Sequence[Frame]) -> Array:
+        """Traces of the first as shares of the full size, projection by projection."""
+        frame = both[0]
         shares = np.empty_like(frame.trace)
         for k, scale in enumerate(self.trace_scales):
             where = self.topology.synapses_of(k)
-            largest = np.abs(frame.trace[where]).max(initial=0.0)
+            largest = _largest(f.trace[where] for f in both)
             shares[where] = frame.trace[where] / scale.fit(largest)
         return shares
 
@@ -198,6 +209,10 @@ class Looks:
             lines.append(f"full trace bar, {p.name}: |z| = {scale.full:g}{times}")
         lines.append(f"full input bar: {self.input_scale.full:g}")
         return "; ".join(lines)
+
+
+def _largest(arrays: Iterable[Array]) -> float:
+    return max(float(np.abs(a).max(initial=0.0)) for a in arrays)
 
 
 def expected_spread(

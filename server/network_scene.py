@@ -16,7 +16,6 @@ from server.palette import Rgb, Theme
 
 Array = NDArray[np.float64]
 
-ROOT = "/network"
 MOST_LABELS = 16
 BAR = 0.75
 """Width of an input's bar, as a share of its diameter."""
@@ -26,7 +25,10 @@ TRACE_WIDTH = 0.05
 
 
 class NetworkScene:
-    """Draws one topology at an offset; `on_unit` and `on_synapse` get the number clicked."""
+    """Draws one topology under `root`, at an offset.
+
+    `on_unit` and `on_synapse` get the number clicked.
+    """
 
     def __init__(
         self,
@@ -36,6 +38,7 @@ class NetworkScene:
         theme: Theme,
         drawn: NDArray[np.intp],
         *,
+        root: str,
         offset: tuple[float, float, float],
         on_unit: Callable[[viser.ClientHandle, int], None],
         on_synapse: Callable[[viser.ClientHandle, int], None],
@@ -43,14 +46,18 @@ class NetworkScene:
         self._scene, self._topology, self.drawn = scene, topology, drawn
         self._place = place(topology)
         self._inputs = topology.inputs
-        scene.add_frame(ROOT, show_axes=False, position=offset)
+        self._root = root
+        self._frame = scene.add_frame(root, show_axes=False, position=offset)
         self._add_synapses(theme, on_synapse)
         self._add_units(theme, on_unit)
         self._add_reward()
         self._add_labels(names)
 
     def remove(self) -> None:
-        self._scene.remove_by_name(ROOT)
+        self._scene.remove_by_name(self._root)
+
+    def move(self, offset: tuple[float, float, float]) -> None:
+        self._frame.position = offset
 
     def draw(self, look: Look) -> None:
         """Show a Look; sends a handful of arrays."""
@@ -82,13 +89,20 @@ class NetworkScene:
         self._pulse.batched_colors = palette.linear(np.array([color], dtype=np.uint8))
         self._pulse.batched_scales = _f32(np.full((1, 3), share * reach))
 
+    def name(self, title: str) -> None:
+        """What tells the network from another, over all that is said of it."""
+        self._say(self._title, title, 2)
+
     def say(self, reward: str, world: str) -> None:
         """What the labels over the network say of the reward and of the world."""
-        for label, words, rank in ((self._reward_label, reward, 0), (self._world_label, world, 1)):
-            if bool(label.text) != bool(words):
-                label.position = self._over(rank) if words else OUT_OF_SIGHT
-            if label.text != words:
-                label.text = words
+        self._say(self._reward_label, reward, 0)
+        self._say(self._world_label, world, 1)
+
+    def _say(self, label: Any, words: str, rank: int) -> None:
+        if bool(label.text) != bool(words):
+            label.position = self._over(rank) if words else OUT_OF_SIGHT
+        if label.text != words:
+            label.text = words
 
     # Building
 
@@ -139,11 +153,11 @@ class NetworkScene:
             "pulse", shapes.sphere(3), self._place.middle[None], np.zeros((1, 3)), palette.REWARD,
             0.1,
         )  # fmt: skip
-        self._reward_label, self._world_label = (
+        self._reward_label, self._world_label, self._title = (
             self._scene.add_label(
-                f"{ROOT}/{name}", "", position=OUT_OF_SIGHT, anchor="bottom-center"
+                f"{self._root}/{name}", "", position=OUT_OF_SIGHT, anchor="bottom-center"
             )
-            for name in ("reward", "words")
+            for name in ("reward", "words", "title")
         )
 
     def _over(self, rank: int) -> tuple[float, float, float]:
@@ -157,14 +171,14 @@ class NetworkScene:
             where = self._topology.units_of(group.name)
             left = self._place.units[where][:, 0].min() - 0.35
             self._scene.add_label(
-                f"{ROOT}/label/{group.name}", f"{group.name} · {group.size}",
+                f"{self._root}/label/{group.name}", f"{group.name} · {group.size}",
                 position=(left, 0.0, self._place.units[where][0, 2]), anchor="center-right",
             )  # fmt: skip
         if 1 < self._inputs <= MOST_LABELS:
             for k in range(self._inputs):
                 x, y, z = self._place.units[k]
                 self._scene.add_label(
-                    f"{ROOT}/input/{k}", names[k], position=(x, y, z - 1.22 - 0.2 * (k % 2)),
+                    f"{self._root}/input/{k}", names[k], position=(x, y, z - 1.22 - 0.2 * (k % 2)),
                     anchor="top-center", font_screen_scale=0.62,
                 )  # fmt: skip
 
@@ -174,7 +188,7 @@ class NetworkScene:
     ) -> Any:  # fmt: skip
         upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(positions), 1))
         return self._scene.add_batched_meshes_simple(
-            f"{ROOT}/{name}", mesh.vertices, mesh.faces,
+            f"{self._root}/{name}", mesh.vertices, mesh.faces,
             _f32(upright if turns is None else turns), _f32(positions),
             batched_scales=_f32(scales),
             batched_colors=np.tile(palette.linear(np.array(color)), (len(positions), 1)),

@@ -12,38 +12,29 @@ import warnings
 from collections import deque
 from typing import Any
 
-import numpy as np
 import viser
 
-from hebbviz.task import Pose
-from server import palette, words
+from server import camera, palette, words
 from server.commands import Probe, ShowBeginning
 from server.controls import Controls
 from server.inspector import Inspector
-from server.look import MOST_SYNAPSES_DRAWN, Looks, largest_synapses, place, unit_names
-from server.network_scene import NetworkScene
+from server.look import Looks, unit_names
 from server.palette import THEMES
 from server.panels import Panels
-from server.pulse import Pulse
-from server.worker import Picture, Worker
-from server.world_scene import WorldScene
+from server.picture import Picture
+from server.record import Record
+from server.stage import Picks, Stage, half_apart, network_at
+from server.travel import Forking, Rewind
+from server.widgets import Widgets
+from server.worker import Worker
 
 TEXT_SECONDS = 0.2
 """Words and numbers change no more often than this, so that they can be read."""
-RESELECT_SECONDS = 3.0
-"""How often the largest synapses of a large network are chosen anew."""
 NOTICE_SECONDS = 6.0
-WHOLE_ASPECT = 0.8
-"""Width by height of a window in which a view is whole; a narrower one looks from further away."""
 CAMERA_SECONDS = 0.7
 """A page that has just opened is still going to its initial camera."""
 THEME_SECONDS = 0.6
 """A page takes a while to change its theme; charts that are made meanwhile lose their axes."""
-
-NETWORK_ALONE = (0.0, 0.0, 0.0)
-NETWORK_OVER_WORLD = (0.0, 1.9, 2.75)
-WORLD_AT = (0.0, 0.0, 0.0)
-
 
 GONE = """<style>
 .gone { display: none; margin: 0 0.75em 0.5em; padding: 0.5em 0.75em; border-radius: 4px;
@@ -65,8 +56,10 @@ class Page:
         self._theme = THEMES["dark"]
         self._theme_changed = False
         self._built: tuple[object, ...] | None = None
-        self._parts: list[NetworkScene | WorldScene | Panels] = []
-        self._text_at = self._selected_at = self._rebuild_at = 0.0
+        self._stage: Stage | None = None
+        self._other_stage: Stage | None = None
+        self._panels: Panels | None = None
+        self._text_at = self._rebuild_at = 0.0
         self._drawn_at: deque[float] = deque(maxlen=60)
         self._probes: tuple[int, ...] = ()
         self._worker: Worker | None = None
@@ -111,7 +104,7 @@ class Page:
         gui.add_html(GONE)
         self._status = gui.add_markdown("")
         self._warning = gui.add_markdown("", visible=False)
-        self._controls = Controls(gui, worker.send, self.notify, picture.seed)
+        self._build_controls(Widgets(gui, worker.send, self.notify), picture.seed)
         self._build_view(gui)
         self._health = gui.add_markdown("")
         above, below = gui.add_panel(), gui.add_panel()
@@ -128,16 +121,21 @@ class Page:
         server.on_client_connect(self._welcome)
         server.on_client_disconnect(self._disconnected)
 
+    def _build_controls(self, widgets: Widgets, seed: int) -> None:
+        controls = self._controls = Controls(widgets, seed)
+        rewind = Rewind(widgets, order=controls.after_run)
+        self._followers = (widgets, controls, rewind, Forking(widgets), Record(widgets))
+
     def _build_view(self, gui: viser.GuiApi) -> None:
         with gui.add_folder("View"):
-            camera = gui.add_button_group("camera", ("overview", "network", "world"))
+            view = gui.add_button_group("camera", camera.VIEWS)
             theme = gui.add_dropdown("theme", tuple(THEMES), initial_value=self._theme.name)
             self._legend = gui.add_markdown("")
 
-        @camera.on_click
+        @view.on_click
         def _(event: Any) -> None:
             if event.client is not None:
-                self._look_at(event.client, camera.value)
+                self._look_at(event.client, view.value)
 
         @theme.on_update
         def _(_: Any) -> None:
@@ -146,30 +144,42 @@ class Page:
 
     def _rebuild(self, picture: Picture) -> None:
         """Make scene and panels for a task, network or theme."""
-        for part in self._parts:
-            part.remove()
+        for part in (self._stage, self._other_stage, self._panels):
+            if part is not None:
+                part.remove()
         task, topology, theme = picture.task, picture.live.topology, self._theme
         self._names = unit_names(topology, tuple(i.name for i in task.inputs))
-        self._looks, self._pulse = Looks(topology, theme), Pulse(topology.synapses)
-        self._add_network(picture)
-        self._world = WorldScene(self._server.scene, task, theme, offset=WORLD_AT)
+        self._looks, self._other_stage = Looks(topology, theme), None
+        self._stage = self._new_stage("/this", picture, self._looks)
         self._panels = Panels(self._server.gui, self._tabs, picture, theme)
-        self._parts = [self._network, self._world, self._panels]
         self._frame_camera(picture)
         another = self._built is None or self._built[:2] != (task, topology)
         for client in self._server.get_clients().values():
             self._connected(client)
             if another:
-                self._look_at(client, "overview")
+                self._look_at(client, camera.OVERVIEW)
         self._built = self._identity(picture)
 
-    def _add_network(self, picture: Picture) -> None:
-        self._drawn = largest_synapses(picture.live.weight)
-        self._selected_at = time.monotonic()
-        self._network = NetworkScene(
-            self._server.scene, picture.live.topology, self._names, self._theme, self._drawn,
-            offset=_network_at(picture), on_unit=self._pick_unit, on_synapse=self._pick_synapse,
-        )  # fmt: skip
+    def _new_stage(self, root: str, picture: Picture, looks: Looks) -> Stage:
+        picks = Picks(self._pick_unit, self._pick_synapse)
+        return Stage(self._server.scene, root, picture, looks, picks)
+
+    def _part_copies(self, picture: Picture) -> None:
+        """With a fork two copies side by side, each with its name; without one the run alone."""
+        stage, other = self._stage, picture.other
+        if stage is None or (other is None) == (self._other_stage is None):
+            return
+        if other is None and self._other_stage is not None:
+            self._other_stage.remove()
+            self._other_stage = None
+        elif other is not None:
+            self._other_stage = self._new_stage("/other", picture, self._looks.twin())
+            self._other_stage.move(half_apart(picture))
+            self._other_stage.name(f"other: {other.words}")
+        stage.move(-half_apart(picture) if other is not None else 0.0)
+        stage.name("this run" if other is not None else "")
+        for client in self._server.get_clients().values():
+            self._look_at(client, camera.OVERVIEW)
 
     def _identity(self, picture: Picture) -> tuple[object, ...]:
         return picture.task, picture.live.topology, self._theme
@@ -187,10 +197,12 @@ class Page:
         self._connected(client)
         if len(self._server.get_clients()) == 1 and self._worker is not None:
             self._worker.send(ShowBeginning())
-        if client.camera.aspect < WHOLE_ASPECT:
+        narrow = client.camera.aspect < camera.WHOLE_ASPECT
+        if narrow:
             client.gui.main_panel.minimize()
+        if narrow or self._other_stage is not None:
             time.sleep(CAMERA_SECONDS)
-            self._look_at(client, "overview")
+            self._look_at(client, camera.OVERVIEW)
 
     def _connected(self, client: viser.ClientHandle) -> None:
         with self._lock:
@@ -228,31 +240,38 @@ class Page:
                 self._rebuild(picture)
             if picture.live.topology != self._looks.topology:
                 return
-            self._reselect(picture)
             with self._server.atomic():
-                self._network.draw(self._looks.look(picture.shown))
-                pose = picture.task.pose(picture.shown.world)
-                alone = not picture.task.props
-                said = pose.words if alone else ""
-                still = picture.paused and picture.excerpt is None
-                self._pulse.follow(picture.shown, self._network, said, still=still)
-                if not alone:
-                    self._world.draw(pose)
-                self._panels.draw(picture)
+                self._part_copies(picture)
+                self._draw_copies(picture)
+                if self._panels is not None:
+                    self._panels.draw(picture)
             self._drawn_at.append(time.monotonic())
             if time.monotonic() - self._text_at > TEXT_SECONDS:
-                self._write(picture, pose)
+                self._write(picture)
 
-    def _write(self, picture: Picture, pose: Pose) -> None:
+    def _draw_copies(self, picture: Picture) -> None:
+        still = picture.paused and picture.excerpt is None
+        shown = picture.shown
+        beside = None if picture.other is None else picture.other.frame
+        if self._stage is not None:
+            self._stage.draw(shown, beside=beside, still=still)
+        if self._other_stage is not None and beside is not None:
+            self._other_stage.draw(beside, beside=shown, still=still)
+
+    def _write(self, picture: Picture) -> None:
         """All that is read: a few times a second."""
         self._text_at = time.monotonic()
-        self._controls.follow(picture)
-        self._status.content = f"{words.shown(picture)}\n\n{pose.words}"
+        for follower in self._followers:
+            follower.follow(picture)
+        pose = picture.task.pose(picture.shown.world)
+        said = (*words.besides(picture), words.shown(picture), pose.words)
+        self._status.content = "\n\n".join(said)
         self._controls.say_speed(words.speed(picture))
-        warning = picture.error or words.stuck(picture.live_trail)
+        warning = words.warning(picture)
         self._warning.visible = warning is not None
         self._warning.content = f"⚠ **{warning}**" if warning else ""
-        self._legend.content = words.legend(picture.shown, self._looks, len(self._drawn))
+        drawn = 0 if self._stage is None else self._stage.drawn
+        self._legend.content = words.legend(picture.shown, self._looks, drawn)
         self._health.content = words.health(
             picture, self._pictures_per_second(), time.monotonic() - picture.made_at,
             len(self._server.get_clients()),
@@ -268,16 +287,6 @@ class Page:
         if wanted != self._probes and self._worker is not None:
             self._probes = wanted
             self._worker.send(Probe(wanted))
-
-    def _reselect(self, picture: Picture) -> None:
-        """In a large network, draw the synapses that are the largest now."""
-        too_many = picture.live.topology.synapses > MOST_SYNAPSES_DRAWN
-        if too_many and time.monotonic() - self._selected_at > RESELECT_SECONDS:
-            if not np.array_equal(largest_synapses(picture.live.weight), self._drawn):
-                self._network.remove()
-                self._add_network(picture)
-                self._parts[0] = self._network
-            self._selected_at = time.monotonic()
 
     def _pictures_per_second(self) -> float:
         if len(self._drawn_at) < 2:
@@ -295,32 +304,14 @@ class Page:
     # Camera
 
     def _frame_camera(self, picture: Picture) -> None:
-        position, target = self._view("overview", picture)
+        position, target = camera.view_of(camera.OVERVIEW, picture)
         self._server.initial_camera.position = position
         self._server.initial_camera.look_at = target
 
     def _look_at(self, client: viser.ClientHandle, view: str) -> None:
-        """Turn one tab's camera, from further away where the window is narrow."""
-        if self._worker is None or self._worker.latest is None:
-            return
-        position, target = (np.array(p) for p in self._view(view, self._worker.latest))
-        back = float(np.clip(WHOLE_ASPECT / client.camera.aspect, 1.0, 3.0))
-        with client.atomic():
-            client.camera.position = target + back * (position - target)
-            client.camera.look_at = target
-
-    def _view(self, view: str, picture: Picture) -> tuple[Any, Any]:
-        """Camera position and target."""
-        where = place(picture.live.topology)
-        middle = where.middle + _network_at(picture) + (0.0, 0.0, -0.1)
-        if view == "network" or not picture.task.props:
-            away = 1.3 + 0.8 * float(np.ptp(where.units, axis=0).max())
-            return tuple(middle + (0.0, -away, 0.3)), tuple(middle)
-        if view == "world":
-            return (0.0, -4.6, 2.9), (0.0, 0.0, 0.4)
-        return (0.0, -6.3, 3.5), (0.0, 0.4, 2.2)
+        if self._worker is not None and self._worker.latest is not None:
+            camera.look_at(client, view, self._worker.latest)
 
 
 def _network_at(picture: Picture) -> tuple[float, float, float]:
-    """Over the world it acts in; alone where the task has none to show."""
-    return NETWORK_OVER_WORLD if picture.task.props else NETWORK_ALONE
+    return network_at(picture.task)

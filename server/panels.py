@@ -11,16 +11,18 @@ from numpy.typing import NDArray
 from hebbviz.task import Task
 from hebbviz.topology import Topology
 from server import palette, words
-from server.charts import Chart, Points
+from server.charts import Chart, Cursor, Points
 from server.history import Curve
 from server.images import heat_map, raster
 from server.look import Scale, neuron_names
 from server.palette import Rgb, Theme
+from server.picture import Other, Picture
 from server.trail import moved
-from server.worker import Picture
 
 Array = NDArray[np.float64]
 
+OTHER: Rgb = palette.SERIES[3]
+"""Of the other copy of a fork."""
 MOST_CURVES = 8
 """With more neurons than this, charts show groups."""
 
@@ -150,27 +152,36 @@ class Panels:
         if picture.ghost is not None:
             points["earlier run"] = _scores(picture, picture.ghost)["this run"]
         points |= _frozen(picture)
-        self._learning.draw(points, _marks(picture))
+        more = _others(picture)
+        if picture.other is not None:
+            points |= dict.fromkeys(more, _scores(picture, _since(picture.other))["this run"])
+        self._learning.draw(points, _marks(picture), cursor=_cursor(picture), more=more)
         newest = picture.curve.tallies()[-1:]
         said = [words.score(picture.task.score(t), picture.task.measure) for t in newest]
         now = f", now **{said[0]}**" if said else ""
         bound = (
             " Dots: no fall in that window, so at least this." if points["at least"][0].size else ""
         )
+        both = "" if picture.other is None else words.compared(picture, picture.other)
         self._learning_words.content = (
-            f"Each point sums up {words.steps(picture.curve.window)}{now}.{bound} "
+            f"{both}\n\nEach point sums up {words.steps(picture.curve.window)}{now}.{bound} "
             f"{_changes(picture)} {_evaluated(picture)}"
         )
 
     def _draw_reward(self, picture: Picture) -> None:
         curve = picture.curve
-        per_step = {"of the task": curve.reward, "as broadcast": curve.broadcast}
-        self._reward.draw(
-            {name: (curve.end, r / curve.steps) for name, r in per_step.items()}, _marks(picture)
-        )
+        points = {
+            "of the task": (curve.end, curve.reward / curve.steps),
+            "as broadcast": (curve.end, curve.broadcast / curve.steps),
+        }
+        more = _others(picture)
+        if picture.other is not None:
+            other = _since(picture.other)
+            points |= dict.fromkeys(more, (other.end, other.reward / other.steps))
+        self._reward.draw(points, _marks(picture), cursor=_cursor(picture), more=more)
 
     def _draw_rates(self, picture: Picture) -> None:
-        frames = moved(picture.live_trail)
+        frames = moved(picture.live_trail if picture.past is None else picture.shown_trail)
         if len(frames) > 1:
             x = np.array([f.step for f in frames], dtype=np.float64)
             rates = np.array([f.since.spikes / f.since.steps for f in frames])
@@ -282,6 +293,25 @@ def _evaluated(picture: Picture) -> str:
 
 def _marks(picture: Picture) -> list[float]:
     return [float(c.step) for c in picture.changes]
+
+
+def _cursor(picture: Picture) -> Cursor | None:
+    """Where in the run the step is that is shown of its past."""
+    past = picture.past
+    return None if past is None else Cursor(past.cursor, picture.first, picture.live.step)
+
+
+def _since(other: Other) -> Curve:
+    """The other copy's curve from the fork on; before it there was but one."""
+    c, since = other.curve, other.curve.end > other.start
+    return Curve(
+        c.window, c.end[since], c.steps[since], c.reward[since], c.broadcast[since], c.ended[since]
+    )
+
+
+def _others(picture: Picture) -> dict[str, Rgb]:
+    """Name and colour of the other copy's curve, while there is one."""
+    return {} if picture.other is None else {f"other: {picture.other.words}": OTHER}
 
 
 def _changes(picture: Picture) -> str:

@@ -1,35 +1,61 @@
 """A run: a learner, the log of its changes, its history, and the way back.
 
-Nothing here knows of threads or clocks. A moment is a keyframe and how much of the log came
-before it; from a moment and the log, any later step can be made again.
+Nothing here knows of threads or clocks. From a moment on the tape and the log, any later step can
+be made again. Followers are told everything, and may have the run's stretches cut to their taste.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
-from hebbviz.learner import Learner, TaskError
-from hebbviz.moments import Block, Keyframe
-from hebbviz.task import Task
+from hebbviz.learner import Learner
+from hebbviz.moments import Block, Frame
+from hebbviz.task import Tally, Task
 from server.commands import Change, Choose, Logged, Reset
 from server.history import Curve, History
+from server.recording.thinning import Plan
+from server.tape import MOST_BYTES, Moment, Tape
 
 MOST_UNDOS = 100
 
 MakeTask = Callable[[str, str | None], Task]
 
 
-@dataclass(frozen=True)
-class Moment:
-    """A keyframe, and how many changes of the log were made before it."""
+class Follower(Protocol):
+    """What is told of a run as it goes on: a recorder."""
 
-    keyframe: Keyframe
-    logged: int
+    def plan(self, run: Run) -> Plan:
+        """Until which step to run at most, and whether every step until there is to be told."""
 
-    @property
-    def step(self) -> int:
-        return self.keyframe.step
+    def block(self, run: Run, block: Block) -> None:
+        """Steps that were just made."""
+
+    def frame(self, run: Run, frame: Frame) -> None:
+        """The run now, and the sums since the frame before."""
+
+    def edge(self, run: Run, total: Tally) -> None:
+        """The totals at the edge of a window of the history."""
+
+    def change(self, run: Run, logged: Logged) -> None:
+        """A change that was just made."""
+
+    def keyframe(self, run: Run, moment: Moment) -> None:
+        """A moment that was put on the tape."""
+
+    def leap(self, run: Run, words: str) -> None:
+        """The run is about to go on from another moment, or as another run."""
+
+
+class Stored(Protocol):
+    """What was stored of the steps of a run, besides its keyframes."""
+
+    def frame(self, keyframe: Frame, step: int) -> Frame:
+        """The frame of the last keyframe, with all that is known to have been otherwise."""
+
+    def recent(self, step: int, most: int) -> Block | None:
+        """The steps up to `step` that are known without a gap."""
 
 
 @dataclass(frozen=True)
@@ -41,12 +67,19 @@ class UndoPoint:
     moment: Moment
     log: list[Logged]
     history: History
+    tape: Tape
+    stored: Stored | None
     ghost: Curve | None
     words: str
 
 
 class Run:
-    """A learner with its log, history and undo; `task_name` is what the user called the task."""
+    """A learner with its log, history and undo; `task_name` is what the user called the task.
+
+    `stored` is what a file holds of a run that was read from one.
+    """
+
+    stored: Stored | None = None
 
     def __init__(self, learner: Learner, make_task: MakeTask, task_name: str | None = None) -> None:
         self.make_task = make_task
@@ -55,6 +88,8 @@ class Run:
         self.log: list[Logged] = []
         self.ghost: Curve | None = None
         self.history = _new_history(learner)
+        self.tape = _new_tape(learner)
+        self.followers: list[Follower] = []
         self._undo: list[UndoPoint] = []
 
     def advance(self, steps: int) -> Block:
@@ -62,11 +97,30 @@ class Run:
 
         Raises TaskError with the learner at the last good step.
         """
-        steps = min(steps, self.history.until_edge(self.learner.step))
+        step = self.learner.step
+        plans = [f.plan(self) for f in self.followers]
+        steps = min(steps, self.history.until_edge(step), *(p.until - step for p in plans))
         try:
-            return self.learner.advance(steps)
+            block = self.learner.advance(steps, closely=any(p.keep for p in plans))
         finally:
-            self.history.add(self.learner.tally())
+            self._note_edge()
+        for follower in self.followers:
+            follower.block(self, block)
+        return block
+
+    def frame(self) -> Frame:
+        """The learner's frame, shown to the followers too."""
+        frame = self.learner.frame()
+        for follower in self.followers:
+            follower.frame(self, frame)
+        return frame
+
+    def keep(self) -> None:
+        """Put this moment on the tape."""
+        moment = self.moment()
+        self.tape.add(moment)
+        for follower in self.followers:
+            follower.keyframe(self, moment)
 
     def change(self, change: Change, *, undoable: bool = True) -> None:
         """Make a change now and log it. Not undoable: it goes on with the change before it."""
@@ -79,6 +133,8 @@ class Run:
                 self._undo.pop()
             raise
         self.log.append(Logged(self.learner.step, change))
+        for follower in self.followers:
+            follower.change(self, self.log[-1])
 
     def reset(self, command: Reset) -> None:
         """The same task and network from step 0, with the β and γ that are set."""
@@ -91,6 +147,7 @@ class Run:
         fresh.freeze(old.frozen)
         self._remember("reset" if command.seed is None else f"new seed {command.seed}")
         ghost = self.history.curve(old.tally())
+        self._leap("the run was reset")
         self._begin(fresh, self.task_name, ghost if len(ghost.end) else self.ghost)
 
     def choose(self, command: Choose) -> None:
@@ -99,6 +156,7 @@ class Run:
         fresh = Learner(task, hidden=command.hidden, seed=self.learner.seed)
         sizes = "" if command.hidden is None else f", hidden {','.join(map(str, command.hidden))}"
         self._remember(f"choosing {command.task}, {task.preset_name}{sizes}")
+        self._leap("another task or network was chosen")
         self._begin(fresh, command.task, None)
 
     def undo(self) -> str | None:
@@ -106,17 +164,42 @@ class Run:
         if not self._undo:
             return None
         point = self._undo.pop()
+        self._leap(f"{point.words} was undone")
         self.learner, self.task_name = point.learner, point.task_name
         self.learner.restore(point.moment.keyframe)
         self.log, self.history, self.ghost = list(point.log), point.history.copy(), point.ghost
+        self.tape, self.stored = point.tape.until(point.moment.step), point.stored
         return point.words
+
+    def take_over(self, replay: Replay) -> None:
+        """Go on from where a replay of this run is, and forget what came after; can be undone."""
+        moment = replay.moment()
+        self._remember(f"taking over at step {moment.step:,}")
+        self._leap(f"the run goes on from step {moment.step:,}")
+        self.learner.restore(moment.keyframe)
+        self.log = self.log[: moment.logged]
+        self.history, self.tape = self.history.until(moment.step), self.tape.until(moment.step)
+        self.stored = None
 
     def moment(self) -> Moment:
         return Moment(self.learner.keyframe(), len(self.log))
 
-    def replay(self, moment: Moment) -> Replay:
-        """Make the run again from a moment of it."""
-        return Replay(self, moment)
+    @property
+    def moment_size(self) -> int:
+        """Bytes of a moment, about."""
+        return self.learner.network.nbytes
+
+    def replay(self, moment: Moment, until: Moment | None = None) -> Replay:
+        """Make the run again from a moment of it, with no change that came after `until`."""
+        return Replay(self, moment, until)
+
+    def become(self, learner: Learner, history: History, words: str) -> None:
+        """Go on with another learner of the same making; can be undone."""
+        self._remember(words)
+        self._leap(words)
+        self.learner, self.history = learner, history
+        self.log = list(self.log)
+        self.tape, self.stored = _new_tape(learner, len(self.log)), None
 
     @property
     def undo_words(self) -> str | None:
@@ -126,22 +209,33 @@ class Run:
         self._undo.append(
             UndoPoint(
                 self.learner, self.task_name, self.moment(), list(self.log), self.history.copy(),
-                self.ghost, words,
+                self.tape, self.stored, self.ghost, words,
             )
         )  # fmt: skip
         del self._undo[:-MOST_UNDOS]
 
     def _begin(self, learner: Learner, task_name: str, ghost: Curve | None) -> None:
         self.learner, self.task_name, self.ghost = learner, task_name, ghost
-        self.log, self.history = [], _new_history(learner)
+        self.log, self.history, self.tape = [], _new_history(learner), _new_tape(learner)
+        self.stored = None
+
+    def _note_edge(self) -> None:
+        total = self.learner.tally()
+        if self.history.add(total):
+            for follower in self.followers:
+                follower.edge(self, total)
+
+    def _leap(self, words: str) -> None:
+        for follower in self.followers:
+            follower.leap(self, words)
 
 
 class Replay:
     """A second learner that makes a stretch of a run again, changes included."""
 
-    def __init__(self, run: Run, moment: Moment) -> None:
+    def __init__(self, run: Run, moment: Moment, until: Moment | None = None) -> None:
         self._of, self._log = run.learner, run.log
-        self._next = moment.logged
+        self._next, self._until = moment.logged, until
         self.learner = run.learner.twin()
         self.learner.restore(moment.keyframe)
 
@@ -149,15 +243,28 @@ class Replay:
         """Whether the run still is the one that is made again: no reset, no undo since."""
         return self._of is run.learner and self._log is run.log
 
-    def advance(self, steps: int) -> Block:
+    def advance(self, steps: int, *, closely: bool = False) -> Block:
         """Run at most `steps` steps, up to the next change, which is made first if it is due."""
-        while self._next < len(self._log) and self._log[self._next].step <= self.learner.step:
-            self._log[self._next].change.apply(self.learner)
+        return self.learner.advance(self._until_change(steps), closely=closely)
+
+    def go_to(self, step: int) -> None:
+        """Skip to a step ahead, or to the end of the run if that is before it."""
+        while (steps := self._until_change(step - self.learner.step)) > 0:
+            self.learner.skip(steps)
+
+    def moment(self) -> Moment:
+        """Where it is now, as a moment of the run."""
+        return Moment(self.learner.keyframe(), self._next)
+
+    def _until_change(self, steps: int) -> int:
+        """Make the changes that are due; how many of `steps` there are until the next one."""
+        log, made = self._log, len(self._log) if self._until is None else self._until.logged
+        while self._next < made and log[self._next].step <= self.learner.step:
+            log[self._next].change.apply(self.learner)
             self._next += 1
-        if self._next < len(self._log):
-            steps = min(steps, self._log[self._next].step - self.learner.step)
-        left = self._of.step - self.learner.step
-        return self.learner.advance(max(0, min(steps, left)))
+        if self._next < made:
+            steps = min(steps, log[self._next].step - self.learner.step)
+        return max(0, min(steps, self._of.step - self.learner.step))
 
 
 def _new_history(learner: Learner) -> History:
@@ -166,4 +273,6 @@ def _new_history(learner: Learner) -> History:
     return History(1 if task.natural_speed is not None else window, learner.tally())
 
 
-__all__ = ["MakeTask", "Moment", "Replay", "Run", "TaskError"]
+def _new_tape(learner: Learner, logged: int = 0) -> Tape:
+    """A tape with the learner's first moment, bounded in memory."""
+    return Tape([Moment(learner.keyframe(), logged)], most_bytes=MOST_BYTES)

@@ -15,6 +15,11 @@ from tqdm import tqdm  # type: ignore[import-untyped]
 
 import hebbviz
 from hebbviz.learner import TaskError
+from server.making import maker
+from server.recording.recordings import Options, Recordings
+from server.recording.status import Status
+from server.run import Run
+from server.tape import Pace
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -24,6 +29,12 @@ if TYPE_CHECKING:
 
 CHUNK_SECONDS = 0.1
 """Aim for one uninterrupted stretch of steps; a stop waits at most about twice this."""
+
+STRETCH_SECONDS = 0.01
+"""Aim for a recorded stretch of steps as long as this."""
+LONGEST_STRETCH = 200_000
+FRAME_SECONDS = 1.0 / 16.0
+"""A recording has sums over all steps so often."""
 
 Figures = dict[str, Any]
 """By name, and fit for strict JSON."""
@@ -67,32 +78,105 @@ def warm_up(learner: Learner) -> None:
     twin.frame()
 
 
+class Unrecorded:
+    """Moves a learner on as fast as it goes."""
+
+    is_stuck = False
+
+    def __init__(self, learner: Learner) -> None:
+        self.learner = learner
+
+    def skip(self, steps: int) -> None:
+        self.learner.skip(steps)
+
+    def __enter__(self) -> Unrecorded:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+class Recorded:
+    """Moves a learner on and records it; raises as `Recordings` does. Ends it whole on leaving."""
+
+    def __init__(
+        self,
+        learner: Learner,
+        task_name: str,
+        options: Options,
+        *,
+        on_notice: Callable[[str], None],
+    ) -> None:
+        self.learner = learner
+        self.is_stuck = False
+        self._run = Run(learner, maker(learner.task, task_name), task_name)
+        self._recordings = Recordings(self._run, options, on_notice=on_notice)
+        self._pace = Pace()
+        self._framed_at = self._now = time.perf_counter()
+        self._stretch = 16
+
+    def skip(self, steps: int) -> None:
+        """Run `steps` steps, with frames and moments for the recording."""
+        end = self.learner.step + steps
+        while self.learner.step < end:
+            made = len(self._run.advance(min(self._stretch, end - self.learner.step)).fired)
+            now = time.perf_counter()
+            seconds, self._now = now - self._now, now
+            if made == self._stretch:
+                self._stretch = max(1, min(LONGEST_STRETCH, int(made * _factor(seconds))))
+            if now - self._framed_at > FRAME_SECONDS:
+                self._run.frame()
+                self._framed_at = now
+            if self._pace.is_due(seconds, seconds, self._run.moment_size):
+                self._run.keep()
+
+    @property
+    def status(self) -> Status | None:
+        """How much was recorded."""
+        return self._recordings.status
+
+    def __enter__(self) -> Recorded:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._run.frame()
+        self.is_stuck = self._recordings.close()
+
+
+Steps = Unrecorded | Recorded
+
+
+def _factor(seconds: float) -> float:
+    """By which a stretch that took so long is made longer or shorter."""
+    return min(2.0, max(0.5, STRETCH_SECONDS / max(seconds, 1e-6)))
+
+
 def train(
-    learner: Learner, steps: int, *, stop: threading.Event | None = None, bar: bool = False
+    go: Steps, steps: int, *, stop: threading.Event | None = None, bar: bool = False
 ) -> Training:
     """Run `steps` steps, or until `stop` is set; `bar` shows the progress on stderr.
 
     Raises TaskError if the task fails; the learner is then at the end of the last good step.
     """
     stop = threading.Event() if stop is None else stop
+    learner = go.learner
     start, began = learner.step, time.perf_counter()
     with _progress(steps, shown=bar) as moved:
-        _skip(learner, steps * 4 // 5, stop, moved)
+        _skip(go, steps * 4 // 5, stop, moved)
         before_late = learner.tally()
-        _skip(learner, start + steps - learner.step, stop, moved)
+        _skip(go, start + steps - learner.step, stop, moved)
     seconds = time.perf_counter() - began
     made = learner.step - start
     return Training(made, seconds, learner.tally() - before_late, finished=made == steps)
 
 
-def _skip(
-    learner: Learner, steps: int, stop: threading.Event, moved: Callable[[int], object]
-) -> None:
-    """`learner.skip(steps)`, cut so that `stop` acts soon whatever a step costs."""
+def _skip(go: Steps, steps: int, stop: threading.Event, moved: Callable[[int], object]) -> None:
+    """`go.skip(steps)`, cut so that `stop` acts soon whatever a step costs."""
+    learner = go.learner
     end, chunk = learner.step + steps, 1
     while learner.step < end and not stop.is_set():
         size, began = min(chunk, end - learner.step), time.perf_counter()
-        learner.skip(size)
+        go.skip(size)
         moved(size)
         seconds = time.perf_counter() - began
         if seconds < CHUNK_SECONDS / 2:

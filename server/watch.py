@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hebbviz.moments import Block
-from server.run import Moment, Replay, Run
+from server.run import Replay, Run
+from server.tape import Moment
 
 EXCERPT_SECONDS = 6.0
 LEAD, TAIL = 7, 4

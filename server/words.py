@@ -8,11 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.moments import Frame
-from hebbviz.task import Measure, Score, Task
+from hebbviz.task import Measure, Score, Tally, Task
 from server import palette
+from server.history import Curve
 from server.look import Looks
+from server.picture import Other, Past, Picture
+from server.player import Check
+from server.recording.status import Status
+from server.recording.thinning import words as size_of
 from server.trail import moved
-from server.worker import Picture
 
 Array = NDArray[np.float64]
 
@@ -50,6 +54,18 @@ def duration(seconds: float) -> str:
     return f"{seconds:.3g} s"
 
 
+def clock(seconds: float) -> str:
+    """Tenths of a second, of a width that does not jump: 6.9 s, 4 min 06.9 s, 1 h 02 min 03.4 s."""
+    tenths = round(10 * seconds)
+    minutes, tenths = divmod(tenths, 600)
+    if minutes == 0:
+        return f"{tenths / 10:.1f} s"
+    hours, minutes = divmod(minutes, 60)
+    if hours == 0:
+        return f"{minutes} min {tenths / 10:04.1f} s"
+    return f"{hours:,} h {minutes:02} min {tenths / 10:04.1f} s"
+
+
 def memory(beta: float, dt: float | None) -> str:
     """The time constant of the trace."""
     steps = 1.0 / (1.0 - beta)
@@ -70,6 +86,8 @@ def shown(picture: Picture) -> str:
     light = "a lit neuron fired" if each <= 3 else "light is the firing rate"
     scale = f"one picture = {steps(each)}: {light}"
     excerpt = picture.excerpt
+    if picture.past is not None:
+        return f"{_past(picture, picture.past)}{scale}"
     if excerpt is None:
         state = "paused at" if picture.paused else "live,"
         return f"**{state} step {count(picture.shown.step)}** · {scale}"
@@ -78,6 +96,71 @@ def shown(picture: Picture) -> str:
         f"**{kind}: step {count(excerpt.now)}** of {count(excerpt.first)}–{count(excerpt.last)} "
         f"(the run is at {count(picture.live.step)}) · {scale}"
     )
+
+
+def _past(picture: Picture, past: Past) -> str:
+    """Where in the run the step is that is shown of the past, and what is known of it."""
+    dt = picture.task.dt
+    time = f" · {clock(past.cursor * dt)}" if dt else ""
+    own = past.check is Check.OWN
+    state = "paused" if picture.paused else "playing"
+    kind = "the run itself rests" if own else "a recording, played back"
+    return (
+        f"**past: step {count(past.cursor)}** of {count(picture.first)}–{count(picture.live.step)}"
+        f"{time}  \n{state} · {kind} · *{past.check.value}*  \n"
+    )
+
+
+def warning(picture: Picture) -> str | None:
+    """What must not be overlooked, None if all is well."""
+    if picture.error is not None:
+        return picture.error
+    if picture.past is None:
+        return stuck(picture.live_trail)
+    return f"{picture.past.check.value}." if picture.past.check is Check.DIFFERS else None
+
+
+def besides(picture: Picture) -> list[str]:
+    """What goes on besides what is shown: the other copy of a fork, a recording."""
+    lines = []
+    if picture.other is not None:
+        other = picture.other
+        lines.append(
+            f"**two copies** since step {count(other.start)}: left this run, right the other, "
+            f"**{other.words}**"
+        )
+    if picture.records and picture.recording is not None:
+        lines.append(f"<span style='color:{palette.css(palette.PUNISHMENT)}'>●</span> recording")
+    return lines
+
+
+def compared(picture: Picture, other: Other) -> str:
+    """How the two copies of a fork did, over all whole windows since it began."""
+    curves = picture.curve, other.curve
+    whole = [c.end - c.steps >= other.start for c in curves]
+    if not all(w.any() for w in whole):
+        return f"The copies are compared after {steps(picture.curve.window)}."
+    said = [
+        score(picture.task.score(_total(c, w)), picture.task.measure)
+        for c, w in zip(curves, whole, strict=True)
+    ]
+    first = min((c.end - c.steps)[w][0] for c, w in zip(curves, whole, strict=True))
+    return (
+        f"Since step {count(first)}: this run **{said[0]}**, other, {other.words}: **{said[1]}**."
+    )
+
+
+def _total(curve: Curve, which: NDArray[np.bool_]) -> Tally:
+    """Of some windows together."""
+    columns = (curve.steps, curve.reward, curve.broadcast, curve.ended)
+    totals = [float(c[which].sum()) for c in columns]
+    return Tally(int(totals[0]), *totals[1:])
+
+
+def recorded(status: Status) -> str:
+    """How much was recorded, and what was thinned."""
+    size = "" if status.size is None else f", {size_of(status.size)}"
+    return f"{steps(status.steps)}{size}: {status.thinned}"
 
 
 def time_of(task: Task, step: int) -> str:
@@ -131,7 +214,10 @@ def health(picture: Picture, pictures_per_second: float, age: float, tabs: int) 
 
 
 def speed(picture: Picture) -> str:
-    """What is asked for and what is reached."""
+    """What is asked for and what is reached; in the past, how fast it is played."""
+    if picture.past is not None:
+        asked = picture.speed if isinstance(picture.speed, str) else f"{picture.speed:g} steps/s"
+        return f"the past is played at `{asked}`"
     reached = f"`{short(picture.steps_per_second)} steps/s`"
     dt = picture.task.dt
     times = f" = {short(picture.steps_per_second * dt)} × real time" if dt else ""

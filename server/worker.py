@@ -11,41 +11,54 @@ import queue
 import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 
 from hebbviz.learner import TaskError
-from hebbviz.moments import Block, Frame
-from hebbviz.task import Task
+from hebbviz.moments import Frame
 from server.commands import (
     MAX,
     REALTIME,
+    BackToNow,
+    Change,
     Choose,
     Command,
+    EndFork,
     Evaluate,
+    Event,
     Freeze,
     GiveReward,
-    Logged,
+    Looking,
     Pause,
     Press,
     Probe,
     Reset,
+    Seek,
+    SeekEvent,
     SetBeta,
     SetGamma,
+    SetLoop,
     SetSpeed,
     SetWatch,
     SetWatchSpeed,
     ShowBeginning,
     ShowReward,
     Speed,
+    StartFork,
+    StartRecording,
     StepOnce,
+    StopRecording,
+    TakeOver,
     Undo,
 )
-from server.evaluation import Evaluation, Evaluator, evaluates_by_itself
-from server.history import Curve
+from server.evaluation import Evaluator, evaluates_by_itself
+from server.fork import Difference, Fork
+from server.picture import Other, Past, Picture
+from server.player import Player
+from server.recording.recordings import Options, Recordings
 from server.run import Run
+from server.tape import Pace
 from server.trail import Trail
-from server.watch import Excerpt, Watch
+from server.watch import Watch
 
 PICTURES_PER_SECOND = 32.0
 """A little over 30, so that 30 that differ reach the page."""
@@ -60,50 +73,24 @@ SAME_GESTURE_SECONDS = 0.7
 """Changes of one kind closer together than this are one for undo: a slider being dragged."""
 
 
-@dataclass(frozen=True)
-class Picture:
-    """All that a view may show. `shown` is the excerpt's frame while one plays, else `live`.
-
-    `recent` holds every one of the latest steps up to `shown`, as far as they follow on one
-    another; `shown_trail` and `live_trail` the latest frames, likewise, so that a view that skips
-    pictures misses nothing. `made_at` is time.monotonic().
-    """
-
-    number: int
-    made_at: float
-    task: Task
-    task_name: str
-    seed: int
-    beta: float
-    gamma: float
-    frozen: bool
-    live: Frame
-    shown: Frame
-    recent: Block | None
-    shown_trail: tuple[Frame, ...]
-    live_trail: tuple[Frame, ...]
-    excerpt: Excerpt | None
-    curve: Curve
-    ghost: Curve | None
-    changes: Sequence[Logged]
-    paused: bool
-    speed: Speed
-    steps_per_second: float
-    watching: bool
-    watch_speed: float
-    undo_words: str | None
-    evaluations: tuple[Evaluation, ...]
-    run_number: int
-    error: str | None
-
-
 class Worker(threading.Thread):
     """Steps a run, takes commands with `send`, gives the latest Picture with `wait_for`."""
 
-    def __init__(self, run: Run, *, on_notice: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        run: Run,
+        *,
+        on_notice: Callable[[str], None],
+        recordings: Recordings | None = None,
+        in_the_past: bool = False,
+    ) -> None:
         super().__init__(name="hebbviz worker", daemon=True)
         self._run = run
         self._notice = on_notice
+        self._recordings = recordings or Recordings(run, Options(), on_notice=on_notice)
+        self._player: Player | None = None
+        self._fork: Fork | None = None
+        self._pace = Pace()
         self._commands: queue.SimpleQueue[Command | None] = queue.SimpleQueue()
         self._fresh = threading.Condition()
         self._picture: Picture | None = None
@@ -121,6 +108,10 @@ class Worker(threading.Thread):
         self._number = self._run_number = 0
         self._error: str | None = None
         self._settle_speed()
+        if in_the_past:
+            self._player = Player(run)
+            self._player.seek(0)
+            self._set_speed(REALTIME if run.learner.task.dt else self._watch.speed)
 
     def send(self, command: Command) -> None:
         """Ask for something; from any thread, never blocks."""
@@ -167,19 +158,31 @@ class Worker(threading.Thread):
 
     def _idle(self) -> bool:
         """Whether nothing is to be stepped before the next picture."""
+        if self._player is not None:
+            return True
         return self._single_steps == 0 and (self._paused or self._steps_owed() < 1)
 
     def _take_commands(self, wait: float) -> None:
+        """Those that wait; a seek that another follows at once is not worth its work."""
+        seek: Seek | None = None
         try:
             command = self._commands.get(timeout=wait) if wait else self._commands.get_nowait()
             while command is not None:
-                self._obey(command)
+                if seek is not None and not isinstance(command, Seek):
+                    self._obey(seek)
+                seek = command if isinstance(command, Seek) else None
+                if seek is None:
+                    self._obey(command)
                 command = self._commands.get_nowait()
         except queue.Empty:
             pass
+        if seek is not None:
+            self._obey(seek)
 
     def _go_on(self, seconds: float) -> None:
         """Run for a stretch: as many steps as are owed, or as fit into STRETCH_SECONDS."""
+        if self._player is not None:
+            return
         if not self._paused:
             rate = self._rate()
             if rate is not None:
@@ -195,12 +198,17 @@ class Worker(threading.Thread):
             self._stop_run(str(error))
             return
         done = len(block.fired)
+        if self._fork is not None:
+            self._fork.follow(block)
         self._watch.note(moment, block)
         self._live_trail.note(block)
         self._owed = max(0.0, self._owed - done)
         self._single_steps = max(0, self._single_steps - done)
         self._steps_made.append((began, done))
-        self._adapt(time.monotonic() - began, done)
+        computed = time.monotonic() - began
+        self._adapt(computed, done)
+        if self._pace.is_due(computed, computed if self._rate() is None else seconds, moment.size):
+            self._run.keep()
 
     def _steps_owed(self) -> int:
         return LONGEST_STRETCH if self._rate() is None else int(self._owed)
@@ -237,19 +245,39 @@ class Worker(threading.Thread):
     def _carry_out(self, command: Command) -> None:
         match command:
             case SetBeta() | SetGamma() | Freeze() | GiveReward() | Press():
-                now, kind = time.monotonic(), type(command)
-                recent = now - self._last_change[1] < SAME_GESTURE_SECONDS
-                drags = isinstance(command, (SetBeta, SetGamma)) and kind is self._last_change[0]
-                self._last_change = (kind, now)
-                self._run.change(command, undoable=not (drags and recent))
+                self._change(command)
+            case Pause() | StepOnce() | SetSpeed():
+                self._steer(command)
+            case Reset() | Choose() | Undo():
+                self._go_elsewhere(command)
+            case Seek() | SeekEvent() | SetLoop() | BackToNow() | TakeOver():
+                self._travel(command)
+            case StartFork(kind, value):
+                self._begin_fork(Difference(kind, value))
+            case EndFork(keep_other):
+                self._end_fork(keep_other=keep_other)
+            case StartRecording(name):
+                self._recordings.start_named(name)
+            case StopRecording():
+                self._recordings.stop()
+            case _:
+                self._look(command)
+
+    def _steer(self, command: Pause | StepOnce | SetSpeed) -> None:
+        match command:
             case Pause(paused):
-                self._paused, self._single_steps = paused, 0
-                self._owed, self._error, self._steps_made = 0.0, None, []
+                self._pause(paused)
+            case StepOnce(steps) if self._player is not None:
+                self._player.step(steps)
             case StepOnce(steps):
                 self._paused, self._error = True, None
                 self._single_steps += steps
             case SetSpeed(speed):
                 self._set_speed(speed)
+
+    def _go_elsewhere(self, command: Reset | Choose | Undo) -> None:
+        self._player = self._fork = None
+        match command:
             case Reset():
                 self._run.reset(command)
                 self._renew()
@@ -259,6 +287,10 @@ class Worker(threading.Thread):
                 self._settle_speed()
             case Undo():
                 self._undo()
+
+    def _look(self, command: Looking) -> None:
+        """What is shown of the run, and found out about it."""
+        match command:
             case SetWatch(on):
                 self._watch.on = on
                 if not on:
@@ -275,6 +307,92 @@ class Worker(threading.Thread):
             case Probe(synapses):
                 known = range(self._run.learner.topology.synapses)
                 self._run.learner.probe([s for s in synapses if s in known])
+
+    def _change(self, change: Change) -> None:
+        """Make a change in the run; in its past, by taking over there."""
+        if self._player is not None:
+            self._take_over()
+        now, kind = time.monotonic(), type(change)
+        recent = now - self._last_change[1] < SAME_GESTURE_SECONDS
+        drags = isinstance(change, (SetBeta, SetGamma)) and kind is self._last_change[0]
+        self._last_change = (kind, now)
+        self._run.change(change, undoable=not (drags and recent))
+        if self._fork is not None:
+            self._fork.change(change)
+
+    def _pause(self, paused: bool) -> None:
+        if self._player is not None:
+            if not paused and self._player.cursor >= self._player.last:
+                self._player.seek(self._player.first)
+            self._player.playing = not paused
+            return
+        self._paused, self._single_steps = paused, 0
+        self._owed, self._error, self._steps_made = 0.0, None, []
+
+    # The past, and other ways the run might have gone
+
+    def _travel(self, command: Seek | SeekEvent | SetLoop | BackToNow | TakeOver) -> None:
+        match command:
+            case Seek(step):
+                self._visit().seek(step)
+            case SeekEvent(event):
+                self._seek_event(event)
+            case SetLoop(loop):
+                self._visit().loop = loop
+            case BackToNow():
+                self._player = None
+                self._live_trail.clear()
+            case TakeOver(beta, gamma):
+                if self._player is None:
+                    raise ValueError("the run is shown where it is: there is nothing to take over")
+                self._take_over()
+                if beta is not None:
+                    self._run.change(SetBeta(beta))
+                if gamma is not None:
+                    self._run.change(SetGamma(gamma))
+
+    def _visit(self) -> Player:
+        """Show the past of the run, which rests meanwhile."""
+        if self._player is None:
+            if self._fork is not None:
+                raise ValueError("end the fork first: two copies have two pasts")
+            self._player = Player(self._run)
+        return self._player
+
+    def _seek_event(self, event: Event) -> None:
+        player = self._visit()
+        if event is Event.NEXT_REWARD:
+            step = player.next_reward()
+        else:
+            step = player.next_change(1 if event is Event.NEXT_CHANGE else -1)
+        if step is None:
+            self._notice(f"{event.value} was not found from step {player.cursor:,}")
+        else:
+            player.seek(step)
+
+    def _take_over(self) -> None:
+        """The run goes on from what is shown of its past."""
+        assert self._player is not None
+        player, self._player = self._player, None
+        step = player.cursor
+        self._run.take_over(player.replay)
+        self._renew(keep_evaluations_to=step)
+        self._paused = False
+
+    def _begin_fork(self, difference: Difference) -> None:
+        if self._player is not None:
+            self._take_over()
+        self._fork = Fork(self._run, difference)
+        self._watch.clear()
+        self._live_trail.clear()
+
+    def _end_fork(self, *, keep_other: bool) -> None:
+        if self._fork is None:
+            raise ValueError("there is no fork to end")
+        fork, self._fork = self._fork, None
+        if keep_other:
+            self._run.become(fork.learner, fork.history, f"keeping the copy with {fork.difference}")
+            self._renew()
 
     def _evaluate(self) -> None:
         if not self._evaluator.is_free():
@@ -324,7 +442,7 @@ class Worker(threading.Thread):
 
     def _publish(self, seconds: float) -> None:
         learner = self._run.learner
-        live = learner.frame()
+        live = self._run.frame()
         moves = bool(live.since.steps) and evaluates_by_itself(learner)
         if moves and self._evaluator.is_free():
             self._evaluate()
@@ -348,7 +466,7 @@ class Worker(threading.Thread):
             curve=self._run.history.curve(live.tally),
             ghost=self._run.ghost,
             changes=tuple(self._run.log[-200:]),
-            paused=self._paused,
+            paused=self._paused if self._player is None else not self._player.playing,
             speed=self._speed,
             steps_per_second=self._measured_speed(),
             watching=self._watch.on,
@@ -357,6 +475,13 @@ class Worker(threading.Thread):
             evaluations=self._evaluator.results(),
             run_number=self._run_number,
             error=self._error,
+            first=self._run.tape.first,
+            past=self._past(),
+            other=self._other(),
+            recording=self._recordings.status,
+            records=self._recordings.is_on,
+            folder=str(self._recordings.folder),
+            stream_url=self._recordings.stream_url,
         )
         self._number += 1
         with self._fresh:
@@ -365,6 +490,10 @@ class Worker(threading.Thread):
 
     def _what_is_shown(self, live: Frame, seconds: float) -> tuple[Frame, Trail]:
         """The excerpt's frame while one plays and the run is too fast to be seen, else `live`."""
+        if self._player is not None:
+            return self._player.play(seconds, self._rate()), self._player.trail
+        if self._fork is not None:
+            return live, self._live_trail
         if self._watch.in_slow_motion or (self._is_too_fast() and not self._paused):
             played = self._watch.play(self._run, seconds, go_on=not self._paused)
             if played is not None:
@@ -376,6 +505,16 @@ class Worker(threading.Thread):
                 return shown, self._excerpt_trail
         self._watch.rest()
         return live, self._live_trail
+
+    def _past(self) -> Past | None:
+        player = self._player
+        return None if player is None else Past(player.cursor, player.loop, player.check)
+
+    def _other(self) -> Other | None:
+        fork = self._fork
+        if fork is None:
+            return None
+        return Other(str(fork.difference), fork.start, fork.frame(), fork.curve())
 
     def _is_too_fast(self) -> bool:
         rate = self._rate()

@@ -15,7 +15,6 @@ from server.palette import Rgb, Theme
 
 Array = NDArray[np.float64]
 
-ROOT = "/world"
 TRAIL = 90
 """Pictures that a trail goes back."""
 LEAP = 0.4
@@ -26,11 +25,12 @@ class WorldScene:
     """Draws the props of a task, those of one shape in one batch."""
 
     def __init__(
-        self, scene: viser.SceneApi, task: Task, theme: Theme, *,
+        self, scene: viser.SceneApi, task: Task, theme: Theme, *, root: str,
         offset: tuple[float, float, float],
     ) -> None:  # fmt: skip
         self._scene, self._props = scene, tuple(task.props)
-        scene.add_frame(ROOT, show_axes=False, position=offset)
+        self._root = root
+        self._frame = scene.add_frame(root, show_axes=False, position=offset)
         self._of_shape: dict[str, list[int]] = {}
         for k, prop in enumerate(self._props):
             self._of_shape.setdefault(prop.shape, []).append(k)
@@ -39,11 +39,14 @@ class WorldScene:
             for shape, members in self._of_shape.items()
         }
         self._trails = {
-            k: _Trail(scene, prop, theme) for k, prop in enumerate(self._props) if prop.trail
+            k: _Trail(scene, root, prop, theme) for k, prop in enumerate(self._props) if prop.trail
         }
 
     def remove(self) -> None:
-        self._scene.remove_by_name(ROOT)
+        self._scene.remove_by_name(self._root)
+
+    def move(self, offset: tuple[float, float, float]) -> None:
+        self._frame.position = offset
 
     def draw(self, pose: Pose) -> None:
         for shape, members in self._of_shape.items():
@@ -57,7 +60,7 @@ class WorldScene:
     def _batch(self, shape: str, props: list[Prop], theme: Theme) -> Any:
         mesh, n = shapes.SHAPES[shape](), len(props)
         return self._scene.add_batched_meshes_simple(
-            f"{ROOT}/{shape}", mesh.vertices, mesh.faces,
+            f"{self._root}/{shape}", mesh.vertices, mesh.faces,
             np.tile(np.array([1, 0, 0, 0], dtype=np.float32), (n, 1)),
             np.zeros((n, 3), dtype=np.float32),
             batched_scales=np.full((n, 3), 1e-4, dtype=np.float32),
@@ -69,12 +72,12 @@ class WorldScene:
 class _Trail:
     """The latest positions of a prop, as a line that fades."""
 
-    def __init__(self, scene: viser.SceneApi, prop: Prop, theme: Theme) -> None:
+    def __init__(self, scene: viser.SceneApi, root: str, prop: Prop, theme: Theme) -> None:
         self._places: deque[Array] = deque(maxlen=TRAIL + 1)
         fade = np.linspace(0.0, 1.0, TRAIL)
         colors = palette.blend(fade, theme.world, _color(prop, theme))
         self._line = scene.add_line_segments(
-            f"{ROOT}/trail {prop.name}", np.zeros((TRAIL, 2, 3), dtype=np.float32),
+            f"{root}/trail {prop.name}", np.zeros((TRAIL, 2, 3), dtype=np.float32),
             np.repeat(colors[:, None], 2, axis=1), thickness=0.03,
         )  # fmt: skip
 

@@ -1,6 +1,6 @@
 """Pictures of the page, made by a real browser.
 
-python tests/screenshots.py                # docs/page.png, for the README
+python tests/screenshots.py                # docs/page.png and docs/recording.png, for the README
 python tests/screenshots.py --all FOLDER   # each task, light and dark, wide and narrow
 """
 
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -25,14 +26,23 @@ from raw_client import wait_until  # noqa: E402
 from hebbviz.learner import Learner  # noqa: E402
 from server.app import Site  # noqa: E402
 from server.commands import Choose, Command, Pause, Press  # noqa: E402
-from server.worker import Picture, Worker  # noqa: E402
+from server.picture import Picture  # noqa: E402
+from server.recording.recordings import Options  # noqa: E402
+from server.recording.viewer import Viewer  # noqa: E402
+from server.train import Recorded, train  # noqa: E402
+from server.worker import Worker  # noqa: E402
 from sims import TASKS  # noqa: E402
 from sims.loading import make_task  # noqa: E402
 
-PAGE = ROOT / "docs" / "page.png"
+PAGE, RECORDING = ROOT / "docs" / "page.png", ROOT / "docs" / "recording.png"
 WIDE, NARROW = (1600, 900), (390, 844)
 LEARNING_SECONDS = 25.0
 """After so long the pendulum mostly stands, and its curve has a shape."""
+RECORDED_STEPS = 120_000
+VIEWER_SECONDS = 20.0
+"""rerun's web viewer takes so long to load a recording without a graphics card."""
+TIME_LINE = (1240, 886)
+"""Where in the viewer's window its time line is, well into the run."""
 DRAWN_SECONDS = 2.0
 """A browser without a graphics card needs so long to show what has just changed."""
 
@@ -98,6 +108,35 @@ def make_page_picture() -> None:
         shoot(page, PAGE)
 
 
+def make_recording_picture() -> None:
+    """A recording of the pendulum in rerun's web viewer, well into the run."""
+    with tempfile.TemporaryDirectory() as folder, open_browser() as browser:
+        file = Path(folder) / "pendulum.rrd"
+        learner = Learner(make_task("pendulum"), seed=2)
+        options = Options(file=file, budget=10**9)
+        with Recorded(learner, "pendulum", options, on_notice=print) as recorded:
+            train(recorded, RECORDED_STEPS)
+        viewer = Viewer(file)
+        stop = threading.Event()
+        thread = threading.Thread(
+            target=lambda: viewer.run(stop, open_browser=False), daemon=True
+        )  # fmt: skip
+        thread.start()
+        try:
+            page = browser.new_page(
+                viewport={"width": WIDE[0], "height": WIDE[1]}, color_scheme="dark"
+            )
+            page.goto(viewer.address)
+            page.wait_for_timeout(1000 * VIEWER_SECONDS)
+            page.mouse.click(*TIME_LINE)  # the viewer is a canvas: its time line has no name
+            page.keyboard.press("Space")
+            page.wait_for_timeout(1000 * VIEWER_SECONDS)
+            shoot(page, RECORDING)
+        finally:
+            stop.set()
+            thread.join(10.0)
+
+
 def something_to_see(task: str) -> list[Command]:
     """What makes a task show something by itself."""
     return [Press("Play (a)-(l)")] if task == "synapse" else []
@@ -133,7 +172,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Make pictures of the page.")
     parser.add_argument("--all", type=Path, metavar="FOLDER", help="each task, theme and width")
     folder: Path | None = parser.parse_args().all
-    make_page_picture() if folder is None else make_all(folder)
+    if folder is not None:
+        make_all(folder)
+        return
+    make_page_picture()
+    make_recording_picture()
 
 
 if __name__ == "__main__":

@@ -38,7 +38,8 @@ from server.app import Site
 from server.commands import Choose, Pause, Reset, SetBeta, SetSpeed, SetWatch
 from server.look import place
 from server.page import _network_at
-from server.worker import Picture, Worker
+from server.picture import Picture
+from server.worker import Worker
 from sims.loading import make_task
 
 expect.set_options(timeout=PATIENCE)

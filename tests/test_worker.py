@@ -32,15 +32,16 @@ from server.commands import (
     Undo,
 )
 from server.history import CAPACITY, History
+from server.picture import Picture
 from server.run import Run
 from server.watch import EXCERPT_SECONDS, LEAD, TAIL, Watch
-from server.worker import Picture, Worker
+from server.worker import Worker
 from sims.loading import make_task
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from server.run import Moment
+    from server.tape import Moment
 
 
 class Breaks(Task):

@@ -1,0 +1,100 @@
+"""Two copies of a learner from one moment, side by side, that differ in one thing.
+
+The one is the run itself, which goes on. The other is told how many steps the run made, and makes
+as many; it draws the same numbers, so what they differ in is all that sets them apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.chance import LARGEST_SEED
+from hebbviz.learner import Learner
+from hebbviz.limits import check_beta, check_gamma
+from hebbviz.moments import Block, Frame
+from server.commands import Change, SetBeta, SetGamma
+from server.history import Curve
+from server.run import Run
+
+BETA, GAMMA, NO_MEMORY, NO_REWARD, OTHER_REWARD = (
+    "another β", "another γ", "β = 0", "no reward", "reward of another run",
+)  # fmt: skip
+KINDS = (BETA, GAMMA, NO_MEMORY, NO_REWARD, OTHER_REWARD)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The one thing: its kind, and the value of another β or γ."""
+
+    kind: str
+    value: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise ValueError(f"a fork differs in one of {', '.join(KINDS)}, got {self.kind!r}")
+        if self.kind in (BETA, GAMMA):
+            if self.value is None:
+                raise ValueError(f"a fork with {self.kind} needs its value")
+            (check_beta if self.kind == BETA else check_gamma)(self.value)
+
+    def __str__(self) -> str:
+        if self.kind == BETA:
+            return f"β {self.value:.6g}"
+        return f"γ {self.value:.3g}" if self.kind == GAMMA else self.kind
+
+
+class Fork:
+    """The other copy of a run, from where the run is now."""
+
+    def __init__(self, run: Run, difference: Difference) -> None:
+        self.difference = difference
+        self.start = run.learner.step
+        self.learner = run.learner.twin()
+        self.learner.restore(run.learner.keyframe())
+        self.history = run.history.copy()
+        self._donor = _donor(run) if difference.kind == OTHER_REWARD else None
+        if difference.kind in (BETA, NO_MEMORY):
+            self.learner.set_beta(difference.value or 0.0)
+        if difference.kind == GAMMA:
+            self.learner.set_gamma(difference.value or 0.0)
+
+    def follow(self, block: Block) -> None:
+        """Make as many steps as the run has just made."""
+        self.learner.advance(len(block.fired), reward=self._reward(len(block.fired)))
+        self.history.add(self.learner.tally())
+
+    def change(self, change: Change) -> None:
+        """What is changed in the run is changed here too, but for that in which they differ."""
+        kind = self.difference.kind
+        differs = {BETA: SetBeta, NO_MEMORY: SetBeta, GAMMA: SetGamma}.get(kind)
+        if differs is None or not isinstance(change, differs):
+            change.apply(self.learner)
+
+    def frame(self) -> Frame:
+        return self.learner.frame()
+
+    def curve(self) -> Curve:
+        """Its learning curve; what came before the fork is the run's own."""
+        return self.history.curve(self.learner.tally())
+
+    def _reward(self, steps: int) -> NDArray[np.float64] | None:
+        if self.difference.kind == NO_REWARD:
+            return np.zeros(steps)
+        if self._donor is not None:
+            return self._donor.advance(steps).broadcast
+        return None
+
+
+def _donor(run: Run) -> Learner:
+    """The same learner going on with other random numbers, whose rewards are taken."""
+    learner = run.learner
+    donor = Learner(
+        learner.task, topology=learner.topology, beta=learner.beta, gamma=learner.gamma,
+        seed=(learner.seed + 1) % LARGEST_SEED, lanes=learner.lanes,
+        first_lane=learner.first_lane,
+    )  # fmt: skip
+    donor.restore(learner.keyframe())
+    return donor

@@ -1,0 +1,120 @@
+"""The learner that a command line asks for: a new one, a saved one, or one with a task of yours."""
+
+# ruff: noqa: PLC0415  # what is heavy is imported once it is needed: --help must be quick
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from server.terminal import InputError
+
+if TYPE_CHECKING:
+    from hebbviz.learner import Learner
+    from hebbviz.task import Task
+    from server.run import MakeTask
+
+DEFAULT_TASK = "pendulum"
+
+
+def make_learner(args: argparse.Namespace) -> Learner:
+    """The learner that was asked for, new or loaded. Raises InputError, ValueError, OSError and
+    TaskError for what the user can mend.
+    """
+    from hebbviz.learner import Learner
+    from hebbviz.limits import check_beta, check_gamma
+    from sims.loading import make_task
+
+    for check, value in ((check_beta, args.beta), (check_gamma, args.gamma)):
+        if value is not None:
+            check(value)
+    if args.load is not None:
+        return _loaded(args)
+    task = make_task(args.task or DEFAULT_TASK, args.preset)
+    return Learner(task, hidden=args.hidden, beta=args.beta, gamma=args.gamma, seed=args.seed or 0)
+
+
+def _loaded(args: argparse.Namespace) -> Learner:
+    from hebbviz import files
+
+    learner = files.load(
+        _saved_file(args.load), lambda *saved: saved_task(args, f"--load {args.load}", *saved)
+    )
+    if args.seed not in (None, learner.seed):
+        raise _contradiction(f"--load {args.load}", "--seed", args.seed, learner.seed)
+    if args.hidden is not None and learner.task.topology(args.hidden) != learner.topology:
+        sizes = ",".join(str(n) for n in args.hidden) or "none"
+        raise _contradiction(
+            f"--load {args.load}", "--hidden", sizes, f"a {learner.topology.describe()} network"
+        )
+    if args.beta is not None:
+        learner.set_beta(args.beta)
+    if args.gamma is not None:
+        learner.set_gamma(args.gamma)
+    return learner
+
+
+def saved_task(args: argparse.Namespace, file: str | Path, name: str, preset: str) -> Task:
+    """The task that a file names. A user's own is run only if the user names it: a saved learner
+    or a recording may come from anywhere.
+    """
+    from sims import TASKS
+    from sims.loading import make_task
+
+    given = getattr(args, "preset", None)
+    if given not in (None, preset):
+        raise _contradiction(file, "--preset", given, preset)
+    if name in TASKS:
+        if args.task not in (None, name):
+            raise _contradiction(file, "--task", args.task, name)
+        return make_task(name, preset)
+    if args.task is None:
+        raise InputError(
+            f"{file} holds a task of yours, {name!r}: name its file again, with --task path.py:Name"
+        )
+    if args.task in TASKS or (".py:" in name and _class_of(name) != _class_of(args.task)):
+        raise _contradiction(file, "--task", args.task, name)
+    return make_task(args.task, preset)
+
+
+def _class_of(spec: str) -> str:
+    return spec.rpartition(":")[2]
+
+
+def _contradiction(file: str | Path, option: str, given: object, saved: object) -> InputError:
+    return InputError(
+        f"{option} {given} does not go with {file}, which holds {saved}: leave {option} out"
+    )
+
+
+def _saved_file(name: str) -> Path:
+    """The file that --save with this name wrote: .npz is added if missing."""
+    path, with_suffix = Path(name), Path(f"{name}.npz")
+    return with_suffix if with_suffix.is_file() and not path.is_file() else path
+
+
+def task_name(args: argparse.Namespace, learner: Learner) -> str:
+    """What the user called the task."""
+    if args.task is None:
+        return learner.task.name
+    return str(args.task)
+
+
+def maker(task: Task, task_name: str | None) -> MakeTask:
+    """`make_task` that also knows a task in use, by the name that the user has for it."""
+    from hebbviz.learner import TaskError
+    from sims import TASKS
+    from sims.loading import make_task
+
+    own, kind = task_name or task.name, type(task)
+
+    def make(name: str, preset: str | None) -> Task:
+        if name != own or name in TASKS:
+            return make_task(name, preset)
+        try:
+            return kind(preset)
+        except Exception as error:
+            raise TaskError(f"task {name!r}: {type(error).__name__}: {error}") from error
+
+    return make

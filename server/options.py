@@ -1,0 +1,310 @@
+"""What can be given on the command line: commands, options, and which values they take."""
+
+# ruff: noqa: PLC0415  # what is heavy is imported once it is needed: --help must be quick
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from hebbviz import __version__
+from server.making import DEFAULT_TASK
+from server.terminal import InputError
+
+if TYPE_CHECKING:
+    from server.commands import Speed
+
+MOST_STEPS = 10**12
+
+_NUMERIC = ("--beta", "--gamma", "--seed", "--speed", "--port", "--steps", "--stream")
+
+EPILOG = "The rule, the presets and how to write a task of your own are in the README."
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message}; see {self.prog} --help")
+
+
+def parse(argv: list[str]) -> argparse.Namespace:
+    """The command and its options; `command` is its name. Raises InputError."""
+    alone = {"-h", "--help", "--version"}
+    if not argv or (argv[0].startswith("-") and argv[0] not in alone):
+        argv = ["serve", *argv]
+    return _parser().parse_args(_joined(argv))
+
+
+def _joined(argv: list[str]) -> list[str]:
+    """`--gamma -1e-3` as `--gamma=-1e-3`: argparse would take the value for an option."""
+    joined: list[str] = []
+    for text in argv:
+        if joined and joined[-1] in _NUMERIC and _is_number(text):
+            joined[-1] += f"={text}"
+        else:
+            joined.append(text)
+    return joined
+
+
+def _is_number(text: str) -> bool:
+    with contextlib.suppress(ValueError):
+        float(text)
+        return True
+    return False
+
+
+def _parser() -> _Parser:
+    parser = _Parser(
+        prog="hebbviz",
+        description="Watch a network of spiking neurons learn by itself. "
+        "Without a command: serve, with any of its options.",
+        epilog=f"More: hebbviz COMMAND --help. {EPILOG}",
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"hebbviz {__version__}")
+    commands = parser.add_subparsers(
+        dest="command", metavar="COMMAND", required=True, parser_class=_Parser
+    )
+    for add in (_add_serve, _add_train, _add_replay, _add_view, _add_inspect, _add_export):
+        add(commands)
+    return parser
+
+
+def _add_serve(commands: Any) -> None:
+    serve = commands.add_parser(
+        "serve",
+        help="open the page in the browser and learn live",
+        description="Open the page in the browser and learn live, until Ctrl-C.",
+        epilog=EPILOG,
+        allow_abbrev=False,
+    )
+    _add_learner(serve)
+    serve.add_argument(
+        "--speed", type=_speed, metavar="S",
+        help="steps per second, realtime (tasks with a time step) or max; can be changed on "
+        "the page",
+    )  # fmt: skip
+    _add_page(serve)
+    _add_recording(serve)
+    serve.add_argument(
+        "--stream", nargs="?", type=_whole("port", 0, 65535), const=9876, metavar="PORT",
+        help="serve what is recorded to rerun's viewers on this machine too (default port "
+        "%(const)s, 0 for any)",
+    )  # fmt: skip
+    serve.add_argument(
+        "--recordings", type=Path, default=Path("hebbviz-recordings"), metavar="FOLDER",
+        help="folder for recordings that are begun on the page (default %(default)s)",
+    )  # fmt: skip
+
+
+def _add_train(commands: Any) -> None:
+    train = commands.add_parser(
+        "train",
+        help="learn without a page, and print the figures",
+        description="Learn without a page, and print the figures: rewards and times to fall "
+        "over the last fifth of the steps. Ctrl-C ends it early and still saves.",
+        epilog=f"Exit code 130 or 143 if Ctrl-C or SIGTERM ended it. {EPILOG}",
+        allow_abbrev=False,
+    )
+    train.add_argument(
+        "--steps", type=_whole("steps", 0, MOST_STEPS), required=True, metavar="N",
+        help="how many steps to run",
+    )  # fmt: skip
+    _add_learner(train)
+    _add_recording(train)
+    train.add_argument("--save", metavar="FILE", help="save the learner (.npz) for --load")
+    train.add_argument("--json", action="store_true", help="print the figures as one line of JSON")
+
+
+def _add_learner(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--task", metavar="T",
+        help="pendulum, sonar, synapse, or your own as path.py:Name "
+        f"(default {DEFAULT_TASK})",
+    )  # fmt: skip
+    parser.add_argument("--preset", metavar="P", help="a setting of the task (default its first)")
+    parser.add_argument(
+        "--beta", type=_number("beta"), metavar="β",
+        help="how long traces last, in [0, 1) (default the preset's)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--gamma", type=_number("gamma"), metavar="γ",
+        help="step size, 0 or more (default the preset's)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--seed", type=_whole("seed", 0, 2**32 - 1), metavar="N", help="random seed (default 0)"
+    )
+    parser.add_argument(
+        "--hidden", type=_hidden, metavar="SIZES",
+        help="hidden layers, as 16 or 8,8 or none (default the task's)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--load", metavar="FILE", help="go on with a saved learner, its task and its preset"
+    )
+
+
+def _whole(name: str, least: int, most: int) -> Callable[[str], int]:
+    def parse(text: str) -> int:
+        with contextlib.suppress(ValueError):
+            if least <= int(text) <= most:
+                return int(text)
+        raise argparse.ArgumentTypeError(
+            f"{name} must be a whole number from {least} to {most}, got {text!r}"
+        )
+
+    return parse
+
+
+def _number(name: str) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        with contextlib.suppress(ValueError):
+            if math.isfinite(float(text)):
+                return float(text)
+        raise argparse.ArgumentTypeError(f"{name} must be a finite number, got {text!r}")
+
+    return parse
+
+
+def _speed(text: str) -> Speed:
+    if text in ("realtime", "max"):
+        return text
+    with contextlib.suppress(ValueError):
+        if math.isfinite(float(text)) and float(text) > 0.0:
+            return float(text)
+    raise argparse.ArgumentTypeError(
+        f"speed must be steps per second above 0, realtime or max, got {text!r}"
+    )
+
+
+def _hidden(text: str) -> tuple[int, ...]:
+    from hebbviz.topology import parse_hidden
+
+    try:
+        return parse_hidden(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def _add_replay(commands: Any) -> None:
+    replay = commands.add_parser(
+        "replay",
+        help="play a recording back in the page, and go on from any moment of it",
+        description="Play a recording back in the page: any step of it, made again from its "
+        "keyframes; go on from any moment.",
+        epilog=EPILOG,
+        allow_abbrev=False,
+    )
+    _add_recorded(replay)
+    _add_own_task(replay)
+    _add_page(replay)
+    replay.add_argument(
+        "--recordings", type=Path, default=Path("hebbviz-recordings"), metavar="FOLDER",
+        help="folder for recordings that are begun on the page (default %(default)s)",
+    )  # fmt: skip
+
+
+def _add_view(commands: Any) -> None:
+    view = commands.add_parser(
+        "view",
+        help="open a recording in rerun's web viewer, from this machine alone",
+        description="Open a recording in the web viewer that comes with rerun, served on "
+        "127.0.0.1; nothing is sent outside.",
+        allow_abbrev=False,
+    )
+    _add_recorded(view)
+    view.add_argument(
+        "--port", type=_whole("port", 0, 65535), default=0, metavar="N",
+        help="port to listen on (default any)",
+    )  # fmt: skip
+    view.add_argument("--no-browser", action="store_true", help="open no browser")
+
+
+def _add_inspect(commands: Any) -> None:
+    inspect = commands.add_parser(
+        "inspect",
+        help="say what is in a recording",
+        description="Say what is in a recording: task, seed, length, changes, keyframes, final "
+        "figures, whether it is whole.",
+        allow_abbrev=False,
+    )
+    _add_recorded(inspect)
+    inspect.add_argument("--json", action="store_true", help="say it as one line of JSON")
+
+
+def _add_export(commands: Any) -> None:
+    export = commands.add_parser(
+        "export",
+        help="write a recording's timelines as npz and CSV",
+        description="Write a recording's timelines as npz and CSV.",
+        allow_abbrev=False,
+    )
+    _add_recorded(export)
+    _add_own_task(export)
+    export.add_argument(
+        "--out", type=Path, required=True, metavar="FOLDER", help="folder to write into"
+    )
+    export.add_argument(
+        "--every-step", type=_steps, metavar="FROM:TO",
+        help="make these steps again, and write all that the network did in each of them",
+    )  # fmt: skip
+
+
+def _add_recorded(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", type=Path, metavar="FILE", help="a recording (.rrd)")
+
+
+def _add_own_task(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--task", metavar="T",
+        help="where a task of yours was recorded: its file again, as path.py:Name",
+    )  # fmt: skip
+
+
+def _add_page(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--host", default="127.0.0.1",
+        help="address to listen on (default %(default)s: this machine only; there is no password)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--port", type=_whole("port", 0, 65535), metavar="N",
+        help="port to listen on, 0 for any (default 8080, or the next free one)",
+    )  # fmt: skip
+    parser.add_argument("--no-browser", action="store_true", help="open no browser")
+
+
+def _add_recording(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--record", type=Path, metavar="FILE",
+        help="record into a new file (.rrd): for replay, view, inspect and export",
+    )  # fmt: skip
+    parser.add_argument(
+        "--budget", type=_budget, default="30MB", metavar="SIZE",
+        help="what recording may take in a minute, as 500kB or 1GB (default %(default)s): every "
+        "step is kept while that suffices, beyond it stretches of them at regular intervals",
+    )  # fmt: skip
+    parser.add_argument(
+        "--detail", choices=("full", "light"), default="full",
+        help="light: no single steps, only sums over all steps, keyframes and changes",
+    )  # fmt: skip
+
+
+def _budget(text: str) -> int:
+    from server.recording.thinning import parse_budget
+
+    try:
+        return parse_budget(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def _steps(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d{1,15}):(\d{1,15})", text)
+    if match is None or not int(match[1]) < int(match[2]):
+        raise argparse.ArgumentTypeError(
+            f"steps must be FROM:TO with FROM before TO, such as 1000:2000, got {text!r}"
+        )
+    return int(match[1]), int(match[2])

@@ -1,0 +1,79 @@
+"""What a worker publishes for views: all that may be shown, at one moment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hebbviz.moments import Block, Frame
+from hebbviz.task import Task
+from server.commands import Logged, Speed
+from server.evaluation import Evaluation
+from server.history import Curve
+from server.player import Check
+from server.recording.status import Status
+from server.watch import Excerpt
+
+
+@dataclass(frozen=True)
+class Past:
+    """The past of a run, while it is shown: the step that is, and what is known of it."""
+
+    cursor: int
+    loop: bool
+    check: Check
+
+
+@dataclass(frozen=True)
+class Other:
+    """The other copy of a fork that began at step `start`."""
+
+    words: str
+    start: int
+    frame: Frame
+    curve: Curve
+
+
+@dataclass(frozen=True)
+class Picture:
+    """All that a view may show. `shown` is the excerpt's frame while one plays, or a step of the
+    `past` while that is shown, else `live`. The past goes back to step `first`.
+
+    `recent` holds every one of the latest steps up to `shown`, as far as they follow on one
+    another; `shown_trail` and `live_trail` the latest frames, likewise, so that a view that skips
+    pictures misses nothing. `made_at` is time.monotonic().
+    """
+
+    number: int
+    made_at: float
+    task: Task
+    task_name: str
+    seed: int
+    beta: float
+    gamma: float
+    frozen: bool
+    live: Frame
+    shown: Frame
+    recent: Block | None
+    shown_trail: tuple[Frame, ...]
+    live_trail: tuple[Frame, ...]
+    excerpt: Excerpt | None
+    curve: Curve
+    ghost: Curve | None
+    changes: Sequence[Logged]
+    paused: bool
+    speed: Speed
+    steps_per_second: float
+    watching: bool
+    watch_speed: float
+    undo_words: str | None
+    evaluations: tuple[Evaluation, ...]
+    run_number: int
+    error: str | None
+    first: int
+    past: Past | None
+    other: Other | None
+    recording: Status | None
+    records: bool
+    folder: str
+    stream_url: str | None

@@ -1,0 +1,82 @@
+"""The folder that records a run into a file, and says how that goes."""
+
+from __future__ import annotations
+
+import html
+import re
+import time
+from pathlib import Path
+
+import viser
+
+from server import palette, words
+from server.commands import Command, StartRecording, StopRecording
+from server.picture import Picture
+from server.recording.status import Status
+from server.widgets import Widgets, assign
+
+
+class Record:
+    """Name a file, begin and end its recording, and see what it holds."""
+
+    def __init__(self, widgets: Widgets) -> None:
+        self._ui, gui = widgets, widgets.gui
+        self._offered_for: tuple[object, ...] = ()
+        with gui.add_folder("Record", expand_by_default=False):
+            self.name = gui.add_text("file", "", hint="a name, without a folder")
+            self.button = gui.add_button("Record", icon=viser.Icon.PLAYER_RECORD)
+            self.says = gui.add_markdown("")
+        self._ui.press(self.button, self._toggle)
+
+    def follow(self, picture: Picture) -> None:
+        """Say what is recorded; offer a name that is free, until one is typed."""
+        on = picture.records
+        if on != (self.button.label != "Record"):
+            self.button.label = "Stop recording" if on else "Record"
+            self.button.icon = viser.Icon.PLAYER_STOP if on else viser.Icon.PLAYER_RECORD
+            self.button.color = "red" if on else None
+        assign(self.name, "disabled", on)
+        offered_for = (picture.task_name, on)
+        if offered_for != self._offered_for and not on:
+            assign(self.name, "value", free_name(Path(picture.folder), picture.task_name))
+        self._offered_for = offered_for
+        assign(self.says, "content", said(picture))
+
+    def _toggle(self) -> Command:
+        if self._ui.picture.records:
+            return StopRecording()
+        return StartRecording(self.name.value.strip())
+
+
+def free_name(folder: Path, task: str) -> str:
+    """A file name made of the task, the date and the time, which no file in the folder has."""
+    stem = f"{re.sub(r'[^A-Za-z0-9_-]', '-', task)}-{time.strftime('%Y-%m-%d-%H%M')}"
+    names = (f"{stem}{end}.rrd" for end in ("", *(f"-{k}" for k in range(2, 100))))
+    return next((name for name in names if not (folder / name).exists()), f"{stem}.rrd")
+
+
+def said(picture: Picture) -> str:
+    """Where the recording is, how much it holds, and how to see it live."""
+    lines = []
+    if picture.recording is not None:
+        lines.append(_status(picture.recording, on=picture.records))
+    else:
+        lines.append(f"into the folder {_code(picture.folder)}")
+    if picture.stream_url is not None:
+        lines.append(f"see it live in rerun's viewer: {_code(f'rerun {picture.stream_url}')}")
+    return "\n\n".join(lines)
+
+
+def _status(status: Status, *, on: bool) -> str:
+    if status.error is not None:
+        red = palette.css(palette.PUNISHMENT)
+        return f"<span style='color:{red}'>the recording failed: {html.escape(status.error)}</span>"
+    state = "recording into" if on else "recorded in"
+    return (
+        f"{state} {_code(status.where)}  \n{words.clock(status.seconds)}, {words.recorded(status)}"
+    )
+
+
+def _code(text: str) -> str:
+    """Text of others as it is."""
+    return "`" + text.replace("`", "'") + "`"

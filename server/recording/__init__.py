@@ -1,0 +1,7 @@
+"""Recordings in rerun's files: written while a run goes on, read back, inspected and exported."""
+
+import os
+
+# What goes wrong is said once and in our words; rerun, which reads this when it is imported, would
+# print lines of its log as well.
+os.environ.setdefault("RUST_LOG", "off")

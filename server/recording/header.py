@@ -1,0 +1,132 @@
+"""What a recording says of its run before its first step, and how a change is written down."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import platform
+import re
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any
+
+import hebbviz
+from hebbviz.task import Tally
+from hebbviz.topology import Topology
+from server.commands import Change, Freeze, GiveReward, Logged, Press, SetBeta, SetGamma
+
+PROGRAM = "hebbviz recording"
+FORMAT = 1
+RULE = "Bartlett and Baxter 1999"
+VERSIONS_OF = ("numpy", "numba", "pymunk", "rerun-sdk")
+
+CHANGES = {kind.__name__: kind for kind in (SetBeta, SetGamma, Freeze, GiveReward, Press)}
+
+
+class BadRecording(ValueError):
+    """A file that is no recording of ours, or a damaged one; the message says which and why."""
+
+
+@dataclass(frozen=True)
+class Header:
+    """A run as it was when the recording began.
+
+    `log` holds the changes made before, `edges` the totals at the windows' edges of the learning
+    curve so far, `window` their length in steps. `kept_window` is the length of the stretches of
+    which every step is kept, in steps; `budget` is in bytes a minute.
+    """
+
+    task: str
+    preset: str
+    topology: Topology
+    seed: int
+    first_lane: int
+    rule: str
+    beta: float
+    gamma: float
+    dt: float | None
+    step: int
+    window: int
+    edges: tuple[Tally, ...]
+    log: tuple[Logged, ...]
+    kept_window: int
+    detail: str
+    budget: int
+    thinning: str
+    versions: dict[str, str]
+    machine: str
+
+    def to_json(self) -> str:
+        said = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        said |= {
+            "program": PROGRAM,
+            "format": FORMAT,
+            "topology": self.topology.to_json(),
+            "edges": [dataclasses.astuple(t) for t in self.edges],
+            "log": [change_to_json(c) for c in self.log],
+        }
+        return json.dumps(said)
+
+    @classmethod
+    def from_json(cls, text: str) -> Header:
+        """Raises BadRecording for another program's or a newer one, ValueError for nonsense."""
+        said = json.loads(text)
+        if not isinstance(said, dict) or said.pop("program", None) != PROGRAM:
+            raise BadRecording("it is no recording of hebbviz")
+        number = said.pop("format")
+        if not isinstance(number, int) or number > FORMAT:
+            raise BadRecording(
+                f"it is of format {number!r}, newer than this hebbviz knows ({FORMAT}): "
+                "update hebbviz"
+            )
+        said["topology"] = Topology.from_json(said["topology"])
+        said["edges"] = tuple(Tally(*t) for t in said["edges"])
+        said["log"] = tuple(change_from_json(c) for c in said["log"])
+        return cls(**said)
+
+
+def versions() -> dict[str, str]:
+    """The versions that a run's bits may depend on."""
+    return {
+        "hebbviz": hebbviz.__version__,
+        "python": platform.python_version(),
+        **{name: version(name) for name in VERSIONS_OF},
+    }
+
+
+def change_to_json(logged: Logged) -> dict[str, Any]:
+    """A logged change as plain data: its kind, its step and its fields."""
+    fields = dataclasses.asdict(logged.change)
+    return {"step": logged.step, "kind": type(logged.change).__name__, **fields}
+
+
+def change_from_json(said: Any) -> Logged:
+    """Raises ValueError if it is no change, or one of a kind or value that is not allowed."""
+    try:
+        fields = dict(said)
+        step, kind = fields.pop("step"), CHANGES[fields.pop("kind")]
+        change = kind(**fields)
+        _check_types(change)
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"not a change of a run: {str(said)[:80]}") from error
+    if type(step) is not int or step < 0:
+        raise ValueError(f"a change has a step from 0 on, got {step!r}")
+    return Logged(step, change)
+
+
+def _check_types(change: Change) -> None:
+    """Raise ValueError unless each field has the type that it is declared with."""
+    for field in dataclasses.fields(change):
+        value = getattr(change, field.name)
+        if type(value) not in {"frozen": (bool,), "control": (str,)}.get(field.name, (int, float)):
+            raise ValueError(f"{field.name} of a change has a wrong type, got {value!r}")
+
+
+def entity(name: str) -> str:
+    """A group's or projection's name as a part of an entity path."""
+    return re.sub(r"[^\w.-]+", "_", name.replace(" → ", "-"))
+
+
+def machine() -> str:
+    """The kind of machine; another kind may round differently."""
+    return f"{platform.system()} {platform.machine()}"

@@ -1,0 +1,166 @@
+"""A recording read back: what it says of its run, and the run itself, ready to be made again."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.learner import Learner
+from hebbviz.moments import Keyframe
+from hebbviz.task import Tally, Task
+from server.commands import Logged
+from server.history import History
+from server.recording import messages
+from server.recording.chunks import Table, read, readable
+from server.recording.header import BadRecording, Header, change_from_json
+from server.recording.stored import Stored
+from server.run import MakeTask, Run
+from server.tape import Moment, Tape
+
+Array = NDArray[np.float64]
+
+RUN, KEYFRAMES, CHANGES = "/__properties/run", "/hebbviz/keyframe", "/hebbviz/change"
+EDGES, SUMS, END = "/hebbviz/edge", "/hebbviz/aggregate", "/hebbviz/end"
+SKELETON = (RUN, KEYFRAMES, CHANGES, EDGES, SUMS, END)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """All of a recording but its bulk.
+
+    `moments` are its keyframes, `log` the changes, `edges` the totals at the edges of the
+    learning curve's windows, `last_step` the last one of which anything is known, `ending` why
+    the recording ended, None if it was broken off; `is_cut`: a part of the file is missing.
+    """
+
+    path: Path
+    header: Header
+    moments: tuple[Moment, ...]
+    log: tuple[Logged, ...]
+    edges: tuple[Tally, ...]
+    last_step: int
+    ending: str | None
+    is_cut: bool
+
+    @property
+    def notice(self) -> str | None:
+        """What is to be said of a recording that is not whole."""
+        if self.is_cut:
+            return f"{self.path} is cut short: it is shown up to its last whole piece"
+        if self.ending is None:
+            return f"the recording in {self.path} was broken off; it is shown as far as it goes"
+        return None
+
+    def history(self) -> History:
+        """The learning curve."""
+        made = History.of(self.header.window, self.header.edges)
+        for total in self.edges:
+            made.add(total)
+        return made
+
+    def run(self, make_task: MakeTask, task: Task, task_name: str | None = None) -> Run:
+        """The run at its last step, with all that is needed to go back in it.
+
+        Raises BadRecording if the recording does not fit the task.
+        """
+        header = self.header
+        try:
+            learner = Learner(
+                task, topology=header.topology, beta=header.beta, gamma=header.gamma,
+                seed=header.seed, first_lane=header.first_lane,
+            )  # fmt: skip
+            learner.restore(self.moments[-1].keyframe)
+        except ValueError as error:
+            raise BadRecording(f"{self.path} does not fit task {header.task!r}: {error}") from error
+        self._go_to_end(learner)
+        run = Run(learner, make_task, task_name or header.task)
+        run.log, run.history, run.tape = list(self.log), self.history(), Tape(self.moments)
+        run.stored = Stored(self.path, header.topology)
+        return run
+
+    def _go_to_end(self, learner: Learner) -> None:
+        """From the last keyframe to the last step of which anything was recorded."""
+        for logged in self.log[self.moments[-1].logged :]:
+            learner.skip(max(0, logged.step - learner.step))
+            logged.change.apply(learner)
+        learner.skip(max(0, self.last_step - learner.step))
+
+
+def open_recording(path: str | Path) -> Recording:
+    """Read a recording, up to its last whole piece.
+
+    Raises BadRecording, with one line, for anything else or a damaged one, OSError if the file
+    cannot be read.
+    """
+    path = Path(path)
+    return readable(path, lambda: _open(path))
+
+
+def _open(path: Path) -> Recording:
+    if path.stat().st_size == 0:
+        raise BadRecording("it is empty")
+    try:
+        extent = messages.extent(path)
+    except ValueError as error:
+        raise BadRecording(f"{error}: name a .rrd file that hebbviz recorded") from error
+    tables = read(path, extent.size, SKELETON)
+    header = _header(tables.get(RUN))
+    moments = _moments(tables.get(KEYFRAMES))
+    if not moments:
+        raise BadRecording("it was broken off before its first keyframe")
+    log = (*header.log, *_changes(tables.get(CHANGES)))
+    edges = _edges(tables.get(EDGES))
+    sums = tables.get(SUMS)
+    last = max(moments[-1].step, int(sums.step[-1]) if sums else 0, *(c.step for c in log), 0)
+    end = tables.get(END)
+    return Recording(
+        path, header, moments, log, edges, last, str(end.columns["reason"][0]) if end else None,
+        extent.is_cut,
+    )  # fmt: skip
+
+
+def _header(table: Table | None) -> Header:
+    if table is None or "header" not in table.columns:
+        raise BadRecording("it is a recording of another program, not of hebbviz")
+    return Header.from_json(table.columns["header"][0])
+
+
+def _moments(table: Table | None) -> tuple[Moment, ...]:
+    """The keyframes, each checked against its checksum."""
+    if table is None:
+        return ()
+    c = table.columns
+    moments = []
+    for k, step in enumerate(table.step.tolist()):
+        network, world, gamma = (_lane(c[n][k]) for n in ("network", "world", "gamma"))
+        keyframe = Keyframe(step, network, world, gamma, bool(c["frozen"][k]))
+        if keyframe.digest() != c["digest"][k]:
+            raise BadRecording(f"its keyframe at step {step:,} was changed: its checksum is wrong")
+        moments.append(Moment(keyframe, int(c["logged"][k][0])))
+    return tuple({m.step: m for m in moments}.values())
+
+
+def _lane(numbers: Any) -> Array:
+    """The numbers of one lane, (numbers, 1)."""
+    return np.array(numbers, dtype=np.float64)[:, None]
+
+
+def _changes(table: Table | None) -> tuple[Logged, ...]:
+    if table is None:
+        return ()
+    return tuple(change_from_json(json.loads(text)) for text in table.columns["json"])
+
+
+def _edges(table: Table | None) -> tuple[Tally, ...]:
+    if table is None:
+        return ()
+    totals = zip(*(table.columns[n][:, 0] for n in ("reward", "broadcast", "ended")), strict=True)
+    return tuple(
+        Tally(step, *map(float, total))
+        for step, total in zip(table.step.tolist(), totals, strict=True)
+    )

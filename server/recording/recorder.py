@@ -1,0 +1,155 @@
+"""Follows a run and records it: a take for each stretch that no leap back in time interrupts."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from copy import copy
+from dataclasses import replace
+
+from hebbviz.moments import Block, Frame
+from hebbviz.task import Tally
+from server.commands import Logged
+from server.recording import thinning
+from server.recording.header import RULE, Header, machine, versions
+from server.recording.status import Status
+from server.recording.take import CLOSE_SECONDS, Take
+from server.recording.targets import Target
+from server.recording.thinning import MOST_APART, Plan
+from server.run import Run
+from server.tape import Moment
+from server.terminal import reason
+
+
+class Recorder:
+    """Records a run to a target, from now on.
+
+    `budget` is in bytes a minute, see `thinning`; `on_notice` is told when it has to stop, after
+    which it never begins again. Raises ValueError if the run has several lanes, and OSError if the
+    target cannot be opened; later it raises nothing, so that the run goes on whatever happens.
+    """
+
+    def __init__(
+        self,
+        target: Target,
+        run: Run,
+        *,
+        budget: int = thinning.DEFAULT_BUDGET,
+        detail: str = thinning.FULL,
+        on_notice: Callable[[str], None],
+    ) -> None:
+        if run.learner.lanes != 1:
+            raise ValueError(f"a recording holds one lane, got {run.learner.lanes}")
+        self._target, self._budget, self._detail = target, budget, detail
+        self._notice = on_notice
+        self._takes: list[Take] = []
+        self._error: str | None = None
+        self._closing: threading.Thread | None = None
+        self._open_take: Take | None = self._new_take(run)
+
+    # What the run tells
+
+    def plan(self, run: Run) -> Plan:
+        """Until which step to run at most, and whether every step until there is kept."""
+        take = self._take(run)
+        if take is None or take.error is not None:
+            return Plan(run.learner.step + MOST_APART, keep=False, every=0)
+        return take.plan(run.learner.step)
+
+    def block(self, run: Run, block: Block) -> None:
+        if self._open_take is not None:
+            self._open_take.block(block, run.learner)
+
+    def frame(self, run: Run, frame: Frame) -> None:
+        if self._open_take is not None:  # a run that rests after a leap has begun no take
+            self._open_take.frame(frame)
+
+    def edge(self, run: Run, total: Tally) -> None:
+        if self._open_take is not None:
+            self._open_take.edge(total)
+
+    def change(self, run: Run, logged: Logged) -> None:
+        if self._open_take is not None:  # else the next take begins with it
+            self._open_take.change(logged, run.learner)
+
+    def keyframe(self, run: Run, moment: Moment) -> None:
+        if self._open_take is not None:
+            self._open_take.keyframe(moment)
+
+    def leap(self, run: Run, words: str) -> None:
+        """End this take; the next one begins with the next step."""
+        take, self._open_take = self._open_take, None
+        if take is not None:
+            take.end(run.learner, run.moment(), words)
+            self._error = take.error
+
+    # For whoever started it
+
+    def close(
+        self, run: Run, words: str = "it was stopped", *, seconds: float = CLOSE_SECONDS
+    ) -> None:
+        """End it whole; returns once all is on disk, or after so many seconds."""
+        self.leap(run, words)
+        until = time.monotonic() + seconds
+        for take in self._takes:
+            take.join(max(0.0, until - time.monotonic()))
+            take.check_end()
+        self._closing = threading.Thread(target=self._target.close, daemon=True)
+        self._closing.start()
+        self._closing.join(max(0.0, until - time.monotonic()))
+
+    @property
+    def status(self) -> Status:
+        status = self._takes[-1].status
+        return status if self._error is None else replace(status, error=self._error)
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether the disk still holds up a thread of it: then the program must end without."""
+        closing = self._closing is not None and self._closing.is_alive()
+        return closing or any(take.is_stuck for take in self._takes)
+
+    # Inside
+
+    def _take(self, run: Run) -> Take | None:
+        """The take that is open, a new one after a leap; None if none can be had any more."""
+        if self._open_take is None and self._error is None:
+            try:
+                self._open_take = self._new_take(run)
+            except Exception as error:  # a run must not end with its recording
+                self._error = _in_words(error)
+                self._notice(f"recording has stopped, the run goes on: {self._error}")
+        return self._open_take
+
+    def _new_take(self, run: Run) -> Take:
+        task = run.make_task(run.task_name, run.learner.task.preset_name)
+        target = copy(self._target)  # the take before may still be writing to its own file
+        stream = target.open(len(self._takes) + 1)
+        header = _header(run, self._budget, self._detail)
+        weight = run.learner.weights[:, run.learner.watch]
+        take = Take(stream, target, header, task, weight, on_notice=self._notice)
+        take.begin(run.learner, run.moment())
+        self._takes.append(take)
+        return take
+
+
+def _in_words(error: Exception) -> str:
+    if isinstance(error, FileExistsError):
+        return f"{error.filename} exists already and is not written over"
+    if isinstance(error, OSError):
+        return f"cannot open {error.filename}: {reason(error)}" if error.filename else str(error)
+    return f"{type(error).__name__}: {error}"
+
+
+def _header(run: Run, budget: int, detail: str) -> Header:
+    learner, task = run.learner, run.learner.task
+    window = round(10.0 / task.dt) if task.dt else 1000
+    return Header(
+        task=run.task_name, preset=task.preset_name, topology=learner.topology,
+        seed=learner.seed, first_lane=learner.first_lane, rule=RULE, beta=learner.beta,
+        gamma=learner.gamma, dt=task.dt, step=learner.step, window=run.history.window,
+        edges=run.history.edges, log=tuple(run.log), kept_window=window, detail=detail,
+        budget=budget, thinning=thinning.rule(window, budget, detail), versions=versions(),
+        machine=machine(),
+    )  # fmt: skip

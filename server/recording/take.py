@@ -1,0 +1,268 @@
+"""One take: a stretch of a run that nothing interrupts, written by a thread of its own.
+
+The run's thread only puts things on a queue. It is bounded: what is beyond it is dropped and
+counted, keyframes and changes excepted, so that a slow disk never holds up a run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from hebbviz.learner import Learner
+from hebbviz.moments import Block, Frame
+from hebbviz.task import Tally, Task
+from server.commands import Logged
+from server.recording.header import Header
+from server.recording.status import Status
+from server.recording.targets import Target
+from server.recording.thinning import FULL, Plan, Thinning
+from server.recording.writer import Writer
+from server.tape import Moment
+
+FLUSH_SECONDS = 0.25
+"""A program that is killed loses no more of its recording than this, and the time to write it."""
+FLUSH_BYTES = 2_000_000
+"""Flushed more often where more comes, so that what is begun fits into the last of a disk."""
+FLUSH_PATIENCE = 5.0
+CLOSE_SECONDS = 3.0
+LOOKS_PER_SECOND = 8.0
+"""How often weights, traces and the network in 3D are kept in a run that is fast."""
+SLOW = 100.0
+"""Steps a second up to which weights and traces are kept at every step."""
+MOST_QUEUED = 64_000_000
+"""Bytes that may wait for the disk."""
+MOST_KEPT = 3 * MOST_QUEUED
+"""Beyond this keyframes and changes cannot wait either: a disk so slow will never take them."""
+
+Array = NDArray[np.float64]
+Job = Callable[[Writer], None]
+
+
+class Take(threading.Thread):
+    """Writes what its methods are told into a stream; they return at once.
+
+    `task` is for this thread alone; `weight` (synapses,) are those at the beginning. The first
+    thing told is the keyframe it begins with.
+    """
+
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        target: Target,
+        header: Header,
+        task: Task,
+        weight: Array,
+        *,
+        on_notice: Callable[[str], None],
+    ) -> None:
+        super().__init__(name="hebbviz recording", daemon=True)
+        self._stream, self._target, self._header, self._task = stream, target, header, task
+        self._weight, self._notice = weight, on_notice
+        now = time.monotonic()
+        self._thinning = Thinning(header.kept_window, header.budget, header.detail, now)
+        self._plan = Plan(header.step, keep=False, every=1)
+        self._queue: queue.SimpleQueue[tuple[Job, int] | None] = queue.SimpleQueue()
+        self._told = self._written = self._flushed = 0
+        self._ratio = 1.0
+        self._began, self._looked_at = now, 0.0
+        self._step, self._kept, self._dropped = header.step, 0, 0
+        self._step_size = _step_size(task, header)
+        self._weights_size = 16 * header.topology.synapses + 600
+        self._look_size = self._weights_size + 8 * header.topology.synapses + 2_000
+        self.error: str | None = None
+        self._giving_up: threading.Thread | None = None
+        self.start()
+
+    # What the run's thread tells
+
+    def plan(self, step: int) -> Plan:
+        """Until which step to run, and whether every step until there is kept."""
+        now = time.monotonic()
+        self._thinning.note_speed(step, now)
+        if step >= self._plan.until:
+            before = self._plan.every
+            size = self._step_size * self._ratio
+            self._plan = self._thinning.plan(step, size, now)
+            every = self._plan.every
+            if every != before:
+                self._tell(lambda w: w.thinning(step, every), 200, must=True)
+        if self.keeps_each_weight():
+            return Plan(step + 1, keep=True, every=1)
+        return self._plan
+
+    def keeps_each_weight(self) -> bool:
+        """Whether the run is so slow that weights and traces are kept at every step."""
+        speed = self._thinning.speed()
+        if not self._plan.keep or self._plan.every > 1 or speed > SLOW:
+            return False
+        return self._thinning.affords(self._weights_size, speed)
+
+    def block(self, block: Block, learner: Learner) -> None:
+        """Steps of the run; `learner` has just made them."""
+        steps = len(block.fired)
+        self._step = block.end
+        if self.error is not None or not self._plan.keep or not steps:
+            return
+        readings = learner.task.read(block.world)
+        if not self._task.props:
+            block = replace(block, world=block.world[:0])
+        if not self._tell(lambda w: w.block(block, readings), round(steps * self._step_size)):
+            self._dropped += steps
+            return
+        self._kept += steps
+        if self.keeps_each_weight():
+            self.weights(learner)
+
+    def begin(self, learner: Learner, moment: Moment) -> None:
+        """The first that is told: what the run begins with."""
+        self.keyframe(moment)
+        self.parameters(learner)
+        if self._header.detail == FULL:
+            world = learner.world[:, learner.watch]
+            self.weights(learner)
+            self._tell(lambda w: w.world(moment.step, world), 1_000)
+
+    def weights(self, learner: Learner) -> None:
+        """Weights and traces as they are now."""
+        step = learner.step
+        weight, trace = (x[:, learner.watch] for x in (learner.weights, learner.traces))
+        self._tell(lambda w: w.weights(step, weight, trace), self._weights_size)
+
+    def frame(self, frame: Frame) -> None:
+        """The sums since the frame before, and now and then weights and traces."""
+        if not frame.since.steps:
+            return
+        full = self._header.detail == FULL
+        world = full and not self._plan.keep
+        self._tell(lambda w: w.frame(frame, world=world), 1_000)
+        now = time.monotonic()
+        apart = max(now - self._looked_at, 1e-3)
+        if apart > 1.0 / LOOKS_PER_SECOND and self._thinning.affords(self._look_size, 1.0 / apart):
+            self._looked_at = now
+            self._tell(lambda w: w.look(frame), self._look_size)
+
+    def edge(self, total: Tally) -> None:
+        """The totals at the edge of a window of the learning curve."""
+        self._tell(lambda w: w.edge(total), 200, must=True)
+
+    def change(self, logged: Logged, learner: Learner) -> None:
+        """A change that `learner` has just made."""
+        self._tell(lambda w: w.change(logged), 400, must=True)
+        self.parameters(learner)
+
+    def parameters(self, learner: Learner) -> None:
+        """β and γ as they are now."""
+        now = learner.step, learner.beta, learner.gamma, learner.frozen
+        self._tell(lambda w: w.parameters(*now), 200, must=True)
+
+    def keyframe(self, moment: Moment) -> None:
+        """A moment from which the run can be made again."""
+        self._step = moment.step
+        size = moment.keyframe.network.nbytes + moment.keyframe.world.nbytes + 400
+        self._tell(lambda w: w.keyframe(moment), size, must=True)
+
+    def end(self, learner: Learner, moment: Moment, words: str) -> None:
+        """The last that is told: where it ends, and why."""
+        self.keyframe(moment)
+        self.parameters(learner)
+        self._tell(lambda w: w.end(moment.step, words), 400, must=True)
+        self._queue.put(None)
+
+    def check_end(self) -> None:
+        """Say so if it has not ended by now."""
+        if self.is_alive():
+            self._fail("the disk does not answer")
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether the disk still holds up a thread of it."""
+        return self.is_alive() or (self._giving_up is not None and self._giving_up.is_alive())
+
+    @property
+    def status(self) -> Status:
+        steps = self._step - self._header.step
+        return Status(
+            self._target.words, self._target.size(), time.monotonic() - self._began, steps,
+            self._kept, self._plan.every, self._dropped, self.error,
+        )  # fmt: skip
+
+    def _tell(self, job: Job, size: int, *, must: bool = False) -> bool:
+        """Put something on the queue if there is room, or in any case if it `must` be kept."""
+        if self.error is not None:
+            return False
+        waiting = self._told - self._written
+        if waiting > MOST_KEPT:
+            self._fail("the disk does not answer")
+        if waiting > (MOST_KEPT if must else MOST_QUEUED):
+            return False
+        self._told += size
+        self._thinning.spend(size * self._ratio)
+        self._queue.put((job, size))
+        return True
+
+    # The thread
+
+    def run(self) -> None:
+        try:
+            self._write_all(self._writer())
+            self._stream.disconnect()
+        except Exception as error:
+            self._fail(f"{type(error).__name__}: {error}".splitlines()[0][:200])
+            # where a disk is full this may never return
+            self._giving_up = threading.Thread(target=self._stream.disconnect, daemon=True)
+            self._giving_up.start()
+
+    def _writer(self) -> Writer:
+        live = self._target.live
+        return Writer(self._stream, self._header, self._task, self._weight, live=live)
+
+    def _write_all(self, writer: Writer) -> None:
+        """Write what is told until the end of it, or until no more can be written."""
+        next_flush = time.monotonic()  # what it is and begins with is on disk before all else
+        goes_on = True
+        while goes_on:
+            with contextlib.suppress(queue.Empty):
+                item = self._queue.get(timeout=max(0.0, next_flush - time.monotonic()))
+                goes_on = item is not None
+                if item is not None:
+                    job, size = item
+                    job(writer)
+                    self._written += size
+            is_much = self._written - self._flushed > FLUSH_BYTES
+            if not goes_on or is_much or time.monotonic() >= next_flush:
+                trouble = self._target.trouble(self._written - self._flushed)
+                if trouble is not None:
+                    self._fail(trouble)
+                    writer.end(self._step, trouble)
+                    goes_on = False
+                self._flush(writer)
+                next_flush = time.monotonic() + FLUSH_SECONDS
+
+    def _flush(self, writer: Writer) -> None:
+        writer.flush()
+        self._stream.flush(timeout_sec=FLUSH_PATIENCE)
+        self._flushed = self._written
+        size = self._target.size()
+        if size is not None and self._written > 1_000_000:
+            self._ratio = float(np.clip(size / self._written, 0.1, 10.0))
+
+    def _fail(self, why: str) -> None:
+        if self.error is None:
+            self.error = why
+            self._notice(f"recording into {self._target.words} has stopped, the run goes on: {why}")
+
+
+def _step_size(task: Task, header: Header) -> int:
+    """About what a step that is kept takes in a file, in bytes."""
+    neurons, groups = header.topology.neurons, len(header.topology.neuron_groups)
+    moving = sum(p.trail for p in task.props) * 100 + 40 * len(task.props)
+    return 14 * neurons + 24 + 8 * neurons + 8 * groups + 20 * len(task.readings) + moving

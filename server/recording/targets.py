@@ -1,0 +1,129 @@
+"""Where a recording goes: into a file of its own, or to viewers that connect to this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import socket
+import uuid
+from pathlib import Path
+
+import rerun as rr
+
+APPLICATION = "hebbviz"
+DEFAULT_STREAM_PORT = 9876
+RESERVE = 4_000_000
+"""Bytes left free on a disk, so that a recording can be ended whole."""
+RESERVE_SHARE = 0.02
+
+
+class FileTarget:
+    """One file for each run: NAME.rrd, then NAME-2.rrd, NAME-3.rrd … after a leap back in time.
+
+    A file that exists is never written over: `open` raises FileExistsError.
+    """
+
+    live = False
+
+    def __init__(self, path: str | Path) -> None:
+        path = Path(path)
+        self._first = path if path.suffix == ".rrd" else path.with_name(f"{path.name}.rrd")
+        self.path = self._first
+
+    def open(self, number: int) -> rr.RecordingStream:
+        """The stream of the `number`-th run, from 1 on."""
+        stem = self._first.stem + (f"-{number}" if number > 1 else "")
+        path = self._first.with_name(f"{stem}.rrd")
+        path.open("xb").close()
+        self.path = path
+        stream, _ = _stream()
+        stream.set_sinks(rr.FileSink(path, write_footer=True))
+        self._inode = path.stat().st_ino
+        return stream
+
+    @property
+    def words(self) -> str:
+        return str(self.path)
+
+    def size(self) -> int | None:
+        """Bytes written so far, None where that is not known."""
+        with contextlib.suppress(OSError):
+            return self.path.stat().st_size
+        return 0
+
+    def trouble(self, pending: int) -> str | None:
+        """Why nothing more can be written, if so."""
+        try:
+            if self.path.stat().st_ino != self._inode:
+                return "another file has taken the place of its own"
+            free = shutil.disk_usage(self.path.parent).free
+            written = self.path.stat().st_size
+        except OSError as error:
+            return f"its file is gone ({(error.strerror or str(error)).lower()})"
+        if free < RESERVE + RESERVE_SHARE * written + pending:
+            return f"the disk is full but for {free / 1e6:.1f} MB"
+        return None
+
+    def close(self) -> None:
+        pass
+
+
+class StreamTarget:
+    """A server on 127.0.0.1 that rerun's viewers connect to; it waits for none of them."""
+
+    live = True
+    words = "the stream"
+
+    def __init__(self, port: int = DEFAULT_STREAM_PORT) -> None:
+        self.port = _free_port(port)
+        self.url = f"rerun+http://127.0.0.1:{self.port}/proxy"
+        self._hub, self._first_id = _stream()
+        self._hub.set_sinks(
+            rr.GrpcServerSink(
+                bind_ip="127.0.0.1", port=self.port, server_memory_limit="256MiB",
+                newest_first=False,
+            )
+        )  # fmt: skip
+
+    def open(self, number: int) -> rr.RecordingStream:
+        """A stream of its own for each run, through the one server.
+
+        The server's own passes for the first run's, or viewers would show an empty one as well.
+        """
+        stream, _ = _stream(self._first_id if number == 1 else None)
+        stream.set_sinks(rr.GrpcSink(self.url))
+        return stream
+
+    def size(self) -> int | None:
+        return None
+
+    def trouble(self, pending: int) -> str | None:
+        return None
+
+    def close(self) -> None:
+        self._hub.disconnect()
+
+
+Target = FileTarget | StreamTarget
+
+
+def _stream(identity: str | None = None) -> tuple[rr.RecordingStream, str]:
+    """A stream and its identity, by default a new one."""
+    identity = identity or str(uuid.uuid4())
+    return rr.RecordingStream(APPLICATION, recording_id=identity), identity
+
+
+def _free_port(port: int) -> int:
+    """The port itself, or any free one for 0. A taken one raises OSError: rerun would not say."""
+    with socket.socket() as probe:
+        if os.name == "posix":
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError as error:
+            raise OSError(
+                f"cannot stream on port {port}: {(error.strerror or str(error)).lower()}; "
+                "give --stream another port, or 0 for any"
+            ) from error
+        return int(probe.getsockname()[1])

@@ -1,0 +1,409 @@
+"""A recording in rerun's own web viewer, on this machine alone.
+
+The viewer is a page, a script and 43 MB of WebAssembly, all inside rerun's program and nowhere
+else. That program could serve them itself, but its page loads fonts from outside, asks GitHub for
+updates and reports what is done in it. So it is started only to hand over script and WebAssembly,
+and ended at once; they are then served from memory with a page of our own, which lets nothing out,
+and with a policy by which the browser lets nothing out either.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import html
+import http.client
+import importlib.util
+import os
+import re
+import socket
+import socketserver
+import subprocess
+import sys
+import threading
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from server.window import open_window
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+HOST = "127.0.0.1"
+PATIENCE_SECONDS = 60.0
+"""How long rerun's program may take to hand over the viewer; it takes half a second, or on a slow
+disk as long as it takes to read a program of 300 MB."""
+LATENCY_SECONDS = 0.05  # until the server sees that it is to end
+MAGIC = b"RRF"  # how every rerun recording begins
+RECORDING = "/recording.rrd"
+RERUNS_OWN = {
+    "/re_viewer.js": "text/javascript; charset=utf-8",
+    "/re_viewer_bg.wasm": "application/wasm",
+    "/favicon.ico": "image/x-icon",
+}
+"""Path and type of the files that rerun's program hands over."""
+
+HEADERS = {
+    "Content-Security-Policy": "; ".join(
+        (
+            "default-src 'none'",
+            "script-src 'self' 'wasm-unsafe-eval'",
+            "connect-src 'self'",
+            "img-src 'self' data: blob:",
+            "media-src data: blob:",
+            "style-src 'self'",
+            "base-uri 'none'",
+            "form-action 'none'",
+            "frame-ancestors 'none'",
+        )
+    ),
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",  # other sites cannot embed the recording
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",  # the next recording may be shown at the same address
+}
+"""Sent with every answer."""
+
+PAGE = """<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<title>{title}</title>
+<link rel="icon" href="favicon.ico">
+<link rel="stylesheet" href="page.css">
+<p id="words">Loading rerun's viewer…</p>
+<canvas id="canvas" hidden></canvas>
+<script src="re_viewer.js"></script>
+<script src="start.js"></script>
+</html>
+"""
+
+STYLE = """:root { color-scheme: light dark; }
+html, body { margin: 0; height: 100%; overflow: hidden; touch-action: manipulation; }
+#words { margin: 4em auto; max-width: 40em; padding: 0 1em; font: 16px sans-serif; }
+#words { white-space: pre-wrap; }
+#canvas { position: absolute; inset: 0; width: 100%; height: 100%; }
+#canvas[hidden] { display: none; }
+"""
+
+# There is no switch for the viewer's reports, but it bears it in silence when they fail.
+# `?renderer=` is its own name for how it draws, which can be chosen in its menu.
+START = """"use strict";
+const PANIC_CHECK_MS = 1000;
+const canvas = document.getElementById("canvas");
+const words = document.getElementById("words");
+const chosen = new URLSearchParams(location.search).get("renderer");
+
+function fail(why) {
+  console.error(why);
+  canvas.remove();
+  const other = chosen === "webgl" ? "webgpu" : "webgl";
+  words.textContent = `rerun's viewer has stopped: ${why}\\n\\nReload the page to try again, or `
+    + `draw in another way: ${location.origin}/?renderer=${other}`;
+}
+
+function watch(viewer) {
+  if (viewer.has_panicked()) fail(viewer.panic_message());
+  else setTimeout(watch, PANIC_CHECK_MS, viewer);
+}
+
+const ask = window.fetch.bind(window);
+window.fetch = (what, how) => {
+  const to = new URL(what instanceof Request ? what.url : what, location.href);
+  if (to.origin === location.origin) return ask(what, how);
+  return Promise.resolve(Response.error());  // as if the machine had no network
+};
+
+async function show() {
+  await wasm_bindgen({ module_or_path: "re_viewer_bg.wasm" });
+  const viewer = new wasm_bindgen.WebHandle({
+    url: [`${location.origin}/recording.rrd`],
+    render_backend: chosen,
+    hide_welcome_screen: true,
+    check_for_updates_on_startup: false,
+    enable_history: false,
+    persist: false,
+  });
+  watch(viewer);
+  canvas.hidden = false;
+  await viewer.start(canvas);
+}
+
+show().catch(fail);
+"""
+
+
+class NoViewer(OSError):
+    """rerun's program is missing, or hands over no viewer."""
+
+
+class Viewer:
+    """Shows one recording to the browsers of this machine; it listens from here on.
+
+    `port` 0 is any free one. Raises ValueError if `path` is no recording or `port` no port, and
+    OSError if the port cannot be listened on or rerun's viewer cannot be had (`NoViewer`).
+    """
+
+    def __init__(self, path: str | Path, *, port: int = 0) -> None:
+        self.path = check_recording(path)
+        self._server = _listen(port)
+        try:
+            self._server.files = _page(self.path.name) | _reruns_own()
+        except BaseException:
+            self._server.server_close()
+            raise
+        self._server.recording = self.path
+        self._thread = threading.Thread(
+            target=self._server.serve_forever,
+            args=(LATENCY_SECONDS,),
+            name="hebbviz viewer",
+            daemon=True,
+        )
+        self._thread.start()
+
+    @property
+    def address(self) -> str:
+        """What to open in a browser."""
+        return f"http://{HOST}:{self._server.server_port}/"
+
+    def run(self, stop: threading.Event, *, open_browser: bool) -> None:
+        """Show it until `stop` is set; then close."""
+        try:
+            if open_browser:
+                open_window(self.address)
+            while not stop.wait(1.0):  # where a wait has no end, Windows heeds no Ctrl-C
+                pass
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Listen no longer, and cut off who still reads. May be called again."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+def check_recording(path: str | Path) -> Path:
+    """The path of a recording, absolute; raises ValueError if there is none that can be read."""
+    path = Path(path).absolute()
+    advice = "give a file that was recorded, such as run.rrd"
+    if not path.exists():
+        raise ValueError(f"cannot show {path}: there is no such file; {advice}")
+    if not path.is_file():  # to open a pipe could take for ever
+        raise ValueError(f"cannot show {path}: it is not a file; {advice}")
+    try:
+        with path.open("rb") as file:
+            beginning = file.read(len(MAGIC))
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise ValueError(f"cannot show {path}: {reason}; {advice}") from error
+    if beginning != MAGIC:
+        raise ValueError(f"cannot show {path}: it is no rerun recording; {advice}")
+    return path
+
+
+# Our server
+
+
+class _File(NamedTuple):
+    kind: str
+    """The media type."""
+    content: bytes
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    request_queue_size = 64
+    allow_reuse_address = os.name == "posix"  # there it only skips the wait after a restart
+
+    def __init__(self, port: int) -> None:
+        self.files: dict[str, _File] = {}
+        self.recording = Path()
+        self._connections: set[Any] = set()
+        super().__init__((HOST, port), _Handler)
+
+    def server_bind(self) -> None:
+        """As HTTPServer does it, but without looking up the name of this machine in a network."""
+        socketserver.TCPServer.server_bind(self)
+        self.server_name, self.server_port = HOST, self.socket.getsockname()[1]
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        self._connections.add(request)
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        self._connections.discard(request)
+        super().shutdown_request(request)
+
+    def server_close(self) -> None:
+        """Also end the threads that wait for a browser which says nothing, or stalls."""
+        super().server_close()
+        for connection in list(self._connections):
+            with contextlib.suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A browser that breaks off is no fault of ours, and worth no traceback."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(request, client_address)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """One request. There is no time limit: a tab in the background reads slowly, and what is cut
+    short would be shown as a shorter recording.
+    """
+
+    server: _Server
+    server_version, sys_version = "hebbviz", ""
+
+    def do_GET(self) -> None:
+        path = self.path.partition("?")[0]
+        if not self._is_for_us():
+            self.send_error(HTTPStatus.FORBIDDEN, "Not addressed to this server")
+        elif path == RECORDING:
+            self._send_recording()
+        elif path in self.server.files:
+            kind, content = self.server.files[path]
+            self._begin(kind, len(content))
+            if self.command == "GET":
+                self.wfile.write(content)
+        else:
+            self.send_error(HTTPStatus.NOT_FOUND)
+
+    do_HEAD = do_GET  # noqa: N815
+
+    def end_headers(self) -> None:
+        for name, value in HEADERS.items():
+            self.send_header(name, value)
+        super().end_headers()
+
+    def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
+        """Say nothing: the terminal is the user's."""
+
+    def _is_for_us(self) -> bool:
+        """Whether it is addressed to our name. A hostile site may have its own name lead to us,
+        to have its scripts pass for ours.
+        """
+        port = self.server.server_port
+        hosts = [host.lower() for host in self.headers.get_all("Host", [])]
+        return len(hosts) == 1 and hosts[0] in (f"{HOST}:{port}", f"localhost:{port}")
+
+    def _send_recording(self) -> None:
+        """As much of it as is there now: it may still be written to."""
+        try:
+            file = self.server.recording.open("rb")
+        except OSError:
+            self.send_error(HTTPStatus.NOT_FOUND, "The recording is no longer there")
+            return
+        with file:
+            size = os.fstat(file.fileno()).st_size
+            self._begin("application/octet-stream", size)
+            if self.command == "GET" and size:
+                self.connection.sendfile(file, count=size)
+
+    def _begin(self, kind: str, size: int) -> None:
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(size))
+        self.end_headers()
+
+
+def _listen(port: int) -> _Server:
+    if not 0 <= port <= 65535:
+        raise ValueError(f"port must be between 0 and 65535, got {port}")
+    try:
+        return _Server(port)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        if error.errno == errno.EADDRINUSE:
+            reason = "the port is taken"
+        advice = "choose another port, or 0 for any free one"
+        raise OSError(f"can't listen on {HOST}:{port}: {reason}; {advice}") from error
+
+
+def _page(name: str) -> dict[str, _File]:
+    """Our part of the page. `name` is the file's, which may be in any encoding."""
+    title = html.escape(f"{os.fsencode(name).decode(errors='replace')} · hebbviz")
+    return {
+        "/": _File("text/html; charset=utf-8", PAGE.format(title=title).encode()),
+        "/page.css": _File("text/css; charset=utf-8", STYLE.encode()),
+        "/start.js": _File("text/javascript; charset=utf-8", START.encode()),
+    }
+
+
+# rerun's program
+
+
+def _reruns_own() -> dict[str, _File]:
+    """The files of rerun's viewer. Raises NoViewer."""
+    program = _program()
+    try:
+        with _serving(program) as port:
+            return {path: _File(kind, _fetch(port, path)) for path, kind in RERUNS_OWN.items()}
+    except (OSError, http.client.HTTPException) as error:
+        raise NoViewer(
+            f"cannot take the web viewer out of {program}: {error}; install rerun-sdk again"
+        ) from error
+
+
+def _program() -> Path:
+    """rerun's program itself: the command `rerun` is a script, and ending it does not end this."""
+    spec = importlib.util.find_spec("rerun_cli")
+    folders = spec.submodule_search_locations if spec is not None else None
+    for folder in folders or ():
+        for name in ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun"):
+            if (program := Path(folder, name)).is_file():
+                return program
+    raise NoViewer("rerun's web viewer is not installed: pip install rerun-sdk")
+
+
+@contextlib.contextmanager
+def _serving(program: Path) -> Iterator[int]:
+    """While entered, rerun's program serves its viewer on this machine, at the port given.
+
+    As it is told that there is a recording elsewhere, it opens no port to take recordings at.
+    """
+    elsewhere = f"http://{HOST}:1{RECORDING}"
+    command = [str(program), "--serve-web", "--bind", HOST, "--web-viewer-port", "0", elsewhere]
+    silent = subprocess.DEVNULL
+    with subprocess.Popen(
+        command, stdin=silent, stdout=silent, stderr=subprocess.PIPE, env=_environment()
+    ) as child:
+        alarm = threading.Timer(PATIENCE_SECONDS, child.kill)
+        alarm.start()
+        try:
+            yield _announced_port(child.stderr or ())
+        finally:
+            alarm.cancel()
+            child.kill()
+
+
+def _environment() -> dict[str, str]:
+    """Little of ours, so that no setting of the user's changes what rerun says or sends.
+
+    rerun takes CI for a reason to collect no figures of its use, and to write no settings.
+    """
+    kept = ("LD_LIBRARY_PATH", "PATH", "SYSTEMROOT")
+    ours = {name: os.environ[name] for name in kept if name in os.environ}
+    return ours | {"CI": "1", "NO_COLOR": "1", "RUST_LOG": "info"}
+
+
+def _announced_port(lines: Iterable[bytes]) -> int:
+    """Where rerun's program says that it serves its viewer."""
+    for line in lines:
+        found = re.search(rf"http://{re.escape(HOST)}:(\d+)".encode(), line)
+        if found is not None:
+            return int(found[1])
+    raise NoViewer("it ended before it served it")
+
+
+def _fetch(port: int, path: str) -> bytes:
+    connection = http.client.HTTPConnection(HOST, port)
+    with contextlib.closing(connection):
+        connection.request("GET", path)
+        answer = connection.getresponse()
+        if answer.status != HTTPStatus.OK:
+            raise NoViewer(f"it has no {path}")
+        return answer.read()

@@ -1,0 +1,119 @@
+"""One copy of a run in the scene: its network, over its world if the task has one to show."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import viser
+
+from hebbviz.moments import Frame
+from hebbviz.task import Task
+from server.look import MOST_SYNAPSES_DRAWN, Looks, largest_synapses, place, unit_names
+from server.network_scene import NetworkScene
+from server.picture import Picture
+from server.pulse import Pulse
+from server.world_scene import WorldScene
+
+NETWORK_ALONE = (0.0, 0.0, 0.0)
+NETWORK_OVER_WORLD = (0.0, 1.9, 2.75)
+RESELECT_SECONDS = 3.0
+"""How often the largest synapses of a large network are chosen anew."""
+BETWEEN_WORLDS, BETWEEN_NETWORKS = 2.75, 1.3
+"""Half of the distance between two copies; networks alone have half of their width more."""
+
+Place = tuple[float, float, float]
+Pick = Callable[[viser.ClientHandle, int], None]
+
+
+@dataclass(frozen=True)
+class Picks:
+    """Who is told of clicks on a unit and on a synapse."""
+
+    unit: Pick
+    synapse: Pick
+
+
+class Stage:
+    """Draws one copy's frames under the scene's `root`, `aside` of the middle."""
+
+    def __init__(
+        self, scene: viser.SceneApi, root: str, picture: Picture, looks: Looks, picks: Picks,
+        *, aside: float = 0.0,
+    ) -> None:  # fmt: skip
+        self._scene, self._root, self.looks, self._picks = scene, root, looks, picks
+        self._task, self._aside, self._title = picture.task, aside, ""
+        self._names = unit_names(looks.topology, tuple(i.name for i in picture.task.inputs))
+        self._pulse = Pulse(looks.topology.synapses)
+        self._build_network(largest_synapses(picture.live.weight))
+        self._world = WorldScene(
+            scene, picture.task, looks.theme, root=f"{root}/world", offset=(aside, 0.0, 0.0)
+        )
+
+    def remove(self) -> None:
+        self._network.remove()
+        self._world.remove()
+
+    def move(self, aside: float) -> None:
+        """Stand that far to the right of the middle."""
+        self._aside = aside
+        self._network.move(self._network_at())
+        self._world.move((aside, 0.0, 0.0))
+
+    def name(self, title: str) -> None:
+        """What is said over the network, to tell this copy from another."""
+        self._title = title
+        self._network.name(title)
+
+    @property
+    def drawn(self) -> int:
+        """How many synapses are drawn."""
+        return len(self._network.drawn)
+
+    def draw(self, frame: Frame, *, beside: Frame | None, still: bool) -> None:
+        """Show a frame, to scales that fit the one beside it too."""
+        self._reselect(frame)
+        self._network.draw(self.looks.look(frame, beside=beside))
+        pose = self._task.pose(frame.world)
+        alone = not self._task.props
+        self._pulse.follow(frame, self._network, pose.words if alone else "", still=still)
+        if not alone:
+            self._world.draw(pose)
+
+    def _build_network(self, drawn: np.ndarray[tuple[int], np.dtype[np.intp]]) -> None:
+        self._selected_at = time.monotonic()
+        self._network = NetworkScene(
+            self._scene, self.looks.topology, self._names, self.looks.theme, drawn,
+            root=f"{self._root}/network", offset=self._network_at(),
+            on_unit=self._picks.unit, on_synapse=self._picks.synapse,
+        )  # fmt: skip
+
+    def _network_at(self) -> Place:
+        x, y, z = network_at(self._task)
+        return x + self._aside, y, z
+
+    def _reselect(self, frame: Frame) -> None:
+        """In a large network, draw the synapses that are the largest now."""
+        too_many = self.looks.topology.synapses > MOST_SYNAPSES_DRAWN
+        if not too_many or time.monotonic() - self._selected_at < RESELECT_SECONDS:
+            return
+        self._selected_at = time.monotonic()
+        largest = largest_synapses(frame.weight)
+        if not np.array_equal(largest, self._network.drawn):
+            self._network.remove()
+            self._build_network(largest)
+            self.name(self._title)
+
+
+def network_at(task: Task) -> Place:
+    """Over the world it acts in; alone where the task has none to show."""
+    return NETWORK_OVER_WORLD if task.props else NETWORK_ALONE
+
+
+def half_apart(picture: Picture) -> float:
+    """How far each of two copies stands from the middle."""
+    if picture.task.props:
+        return BETWEEN_WORLDS
+    return BETWEEN_NETWORKS + float(np.ptp(place(picture.live.topology).units[:, 0])) / 2

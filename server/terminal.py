@@ -1,0 +1,88 @@
+"""What the command line says: errors of one line, exit codes, and whose fault an error is."""
+
+# ruff: noqa: PLC0415  # what is heavy is imported once it is needed: --help must be quick
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+
+FINE, FAILED, BAD_INPUT = 0, 1, 2
+LONGEST_LINE = 600
+
+
+class InputError(Exception):
+    """Something that the user gave and can mend; the message says what, why and what to do."""
+
+
+@contextlib.contextmanager
+def user_can_mend(args: argparse.Namespace) -> Iterator[None]:
+    """What goes wrong in here does so for what the user gave."""
+    from hebbviz.learner import TaskError
+
+    try:
+        yield
+    except (InputError, MemoryError):
+        raise
+    except FileExistsError as error:
+        what = f"{error.filename} exists already and is not written over: name another file"
+        raise InputError(what) from error
+    except OSError as error:
+        known = error.filename is not None
+        what = f"cannot open {error.filename}: {reason(error)}" if known else str(error)
+        raise InputError(what) from error
+    except (ValueError, TaskError) as error:
+        raise InputError(f"{error}{place(args, error)}") from error
+    except (Exception, SystemExit) as error:
+        if _user_file(args) is None:
+            raise
+        what = f"{type(error).__name__}: {error}"
+        raise InputError(f"task {args.task}: {what}{place(args, error)}") from error
+
+
+def reason(error: OSError) -> str:
+    return (error.strerror or str(error)).lower()
+
+
+def place(args: argparse.Namespace, error: BaseException) -> str:
+    """Where in the user's own file an error came from, as '(my.py, line 12)', or nothing."""
+    file = _user_file(args)
+    if file is None:
+        return ""
+    causes = [error]
+    while causes[-1].__cause__ is not None:
+        causes.append(causes[-1].__cause__)
+    for cause in reversed(causes):
+        frames = traceback.extract_tb(cause.__traceback__)
+        lines = [f.lineno for f in frames if Path(f.filename).resolve() == file]
+        if lines:
+            return f" ({file.name}, line {lines[-1]})"
+    return ""
+
+
+def _user_file(args: argparse.Namespace) -> Path | None:
+    """The user's own file, if the task is in one."""
+    file, _, _ = (getattr(args, "task", None) or "").rpartition(":")
+    return Path(file).resolve() if file.endswith(".py") else None
+
+
+def fail(code: int, message: str) -> int:
+    tell(message)
+    return code
+
+
+def tell(message: str) -> None:
+    """One line on stderr, whatever is in the message."""
+    line = " ".join(message.split())
+    line = "".join(c if c.isprintable() else "?" for c in line)
+    sys.stderr.write(f"hebbviz: {line[:LONGEST_LINE]}\n")
+    sys.stderr.flush()
+
+
+def say(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()

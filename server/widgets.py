@@ -1,0 +1,127 @@
+"""What all controls share: a widget becomes a command, and follows what holds.
+
+One run serves all tabs, so a widget shows the run's state, whoever changed it. A callback only
+makes a command; a value that is refused is said in a notice and the widget goes back.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import viser
+
+from server.commands import Command
+from server.picture import Picture
+
+QUIET_SECONDS = 2.5
+"""A widget that was just moved by hand is not set back to the run's value before this."""
+TYPING_SECONDS = 0.6
+"""A typed value that may be only a beginning is taken when nothing was typed for so long."""
+
+Send = Callable[[Command], None]
+Notify = Callable[[str], None]
+
+
+class Widgets:
+    """Ties widgets of one panel to commands, and keeps them from being moved under a hand."""
+
+    def __init__(self, gui: viser.GuiApi, send: Send, notify: Notify) -> None:
+        self.gui, self._send, self._notify = gui, send, notify
+        self._touched: dict[int, float] = {}
+        self._put_before: dict[int, Any] = {}
+        self._waiting: dict[int, threading.Timer] = {}
+        self._picture: Picture | None = None
+
+    @property
+    def picture(self) -> Picture:
+        """What holds; raises ValueError before anything does."""
+        if self._picture is None:
+            raise ValueError("the run is only starting: try again in a moment")
+        return self._picture
+
+    def follow(self, picture: Picture) -> None:
+        """Take note of what holds, before any widget is set to it."""
+        if self._picture is not None and self._picture.run_number != picture.run_number:
+            self._touched.clear()  # after an undo or a reset, what was typed before is past
+        self._picture = picture
+
+    def when(
+        self,
+        handle: Any,
+        command: Callable[[Any], Command | None],
+        *,
+        unfinished: Callable[[Any], bool] = lambda _: False,
+    ) -> None:
+        """Send what `command` makes of a widget's new value, when a page changed it.
+
+        A value may be `unfinished`: a page sends every key that is typed, and a 1 may become 1e-3.
+        Such a value waits until nothing more is typed.
+        """
+
+        def act() -> None:
+            self.attempt(lambda: command(handle.value))
+
+        def changed(event: Any) -> None:
+            if event.client is None:
+                return
+            self._touched[id(handle)] = time.monotonic()
+            self._put_before.pop(id(handle), None)
+            waiting = self._waiting.pop(id(handle), None)
+            if waiting is not None:
+                waiting.cancel()
+            if unfinished(handle.value):
+                self._waiting[id(handle)] = timer = threading.Timer(TYPING_SECONDS, act)
+                timer.daemon = True
+                timer.start()
+            else:
+                act()
+
+        if isinstance(handle, viser.GuiButtonGroupHandle):
+            handle.on_click(changed)
+        else:
+            handle.on_update(changed)
+
+    def press(self, handle: Any, command: Callable[[], Command | None]) -> None:
+        """Send a command when a button is pressed."""
+        handle.on_click(lambda _: self.attempt(command))
+
+    def key(self, label: str, key: Any, command: Callable[[], Command | None]) -> Any:
+        """Send a command when a key is pressed, or its label chosen in the list of commands."""
+        handle = self.gui.add_command(label, hotkey=key)
+        handle.on_trigger(lambda _: self.attempt(command))
+        return handle
+
+    def attempt(self, command: Callable[[], Command | None]) -> None:
+        """Make a command and send it; a value that is refused is said in a notice."""
+        try:
+            made = command()
+        except ValueError as error:
+            self._notify(str(error))
+            return
+        if made is not None:
+            self._send(made)
+
+    def put(self, handle: Any, value: Any, *, quiet: float = QUIET_SECONDS) -> None:
+        """Set a widget to what holds, when that has become another or was lately touched by hand.
+
+        A widget that merely differs is left alone: what was typed may still be on its way here.
+        """
+        key = id(handle)
+        touched = self._touched.get(key)
+        if touched is not None:
+            if time.monotonic() - touched < quiet:
+                return
+            self._touched.pop(key, None)
+        elif self._put_before.get(key) == value:
+            return
+        self._put_before[key] = value
+        assign(handle, "value", value)
+
+
+def assign(handle: Any, name: str, value: Any) -> None:
+    """Assign only what differs: each assignment is a message to every tab."""
+    if getattr(handle, name) != value:
+        setattr(handle, name, value)
