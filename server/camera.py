@@ -6,9 +6,9 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from server.look import place
+from server.look import network_at, place
 from server.picture import Picture
-from server.stage import half_apart, network_at
+from server.stage import half_apart
 
 Array = NDArray[np.float64]
 

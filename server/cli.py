@@ -2,7 +2,8 @@
 recorded is replayed, viewed, inspected and exported.
 
 Exit codes: 0 fine; 2 for what the user gave and can mend, said in one line on stderr; 1 for any
-other failure; 130 and 143 for a training that Ctrl-C or SIGTERM ended.
+other failure; 130 and 143 for a training that Ctrl-C or SIGTERM ended. A recording that had to
+stop, for want of disk space say, is told of on stderr and changes none of this: the run is whole.
 """
 
 # ruff: noqa: PLC0415  # what is heavy is imported once it is needed: --help must be quick

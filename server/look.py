@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.moments import Frame
+from hebbviz.task import Prop, Task
 from hebbviz.topology import Projection, Topology
 from server import palette
-from server.palette import Pixels, Theme
+from server.palette import Pixels, Rgb, Theme
 
 Array = NDArray[np.float64]
 
+NETWORK_ALONE, NETWORK_OVER_WORLD = (0.0, 0.0, 0.0), (0.0, 1.9, 2.75)
 WIDTH, LAYER = 4.4, 1.55
 """Extent of the widest layer and distance between layers, in scene units."""
 ROW_OF_NEURONS, ROW_OF_INPUTS = 24, 64
@@ -84,6 +86,25 @@ def place(topology: Topology) -> Place:
         units.append(np.stack([x, y, np.full(group.size, LAYER * level)], axis=1))
         radii.append(np.full(group.size, min(LARGEST_RADIUS * large, 0.36 * gap)))
     return Place(np.concatenate(units), np.concatenate(radii), large)
+
+
+def network_at(task: Task) -> tuple[float, float, float]:
+    """Where a network stands, in scene units: over the world it acts in, alone where none is."""
+    return NETWORK_OVER_WORLD if task.props else NETWORK_ALONE
+
+
+def color_of(prop: Prop, theme: Theme) -> Rgb:
+    """Red, green, blue of a prop in a theme."""
+    if isinstance(prop.color, str):
+        return {
+            "world": theme.world,
+            "world strong": theme.world_strong,
+            "accent": palette.ACCENT,
+            "positive": palette.WEIGHT_POSITIVE,
+            "negative": palette.WEIGHT_NEGATIVE,
+        }[prop.color]
+    r, g, b = (round(255 * c) for c in prop.color)
+    return r, g, b
 
 
 def endpoints(topology: Topology) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -282,7 +282,7 @@ def _add_recording(parser: argparse.ArgumentParser) -> None:
         help="record into a new file (.rrd): for replay, view, inspect and export",
     )  # fmt: skip
     parser.add_argument(
-        "--budget", type=_budget, default="30MB", metavar="SIZE",
+        "--budget", type=_budget, default="40MB", metavar="SIZE",
         help="what recording may take in a minute, as 500kB or 1GB (default %(default)s): every "
         "step is kept while that suffices, beyond it stretches of them at regular intervals",
     )  # fmt: skip

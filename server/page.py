@@ -23,7 +23,7 @@ from server.palette import THEMES
 from server.panels import Panels
 from server.picture import Picture
 from server.record import Record
-from server.stage import Picks, Stage, half_apart, network_at
+from server.stage import Picks, Stage, half_apart
 from server.travel import Forking, Rewind
 from server.widgets import Widgets
 from server.worker import Worker
@@ -311,7 +311,3 @@ class Page:
     def _look_at(self, client: viser.ClientHandle, view: str) -> None:
         if self._worker is not None and self._worker.latest is not None:
             camera.look_at(client, view, self._worker.latest)
-
-
-def _network_at(picture: Picture) -> tuple[float, float, float]:
-    return network_at(picture.task)

@@ -10,21 +10,25 @@ import numpy as np
 import viser
 
 from hebbviz.moments import Frame
-from hebbviz.task import Task
-from server.look import MOST_SYNAPSES_DRAWN, Looks, largest_synapses, place, unit_names
+from server.look import (
+    MOST_SYNAPSES_DRAWN,
+    Looks,
+    largest_synapses,
+    network_at,
+    place,
+    unit_names,
+)
 from server.network_scene import NetworkScene
 from server.picture import Picture
 from server.pulse import Pulse
 from server.world_scene import WorldScene
 
-NETWORK_ALONE = (0.0, 0.0, 0.0)
-NETWORK_OVER_WORLD = (0.0, 1.9, 2.75)
 RESELECT_SECONDS = 3.0
 """How often the largest synapses of a large network are chosen anew."""
 BETWEEN_WORLDS, BETWEEN_NETWORKS = 2.75, 1.3
 """Half of the distance between two copies; networks alone have half of their width more."""
 
-Place = tuple[float, float, float]
+Spot = tuple[float, float, float]
 Pick = Callable[[viser.ClientHandle, int], None]
 
 
@@ -90,7 +94,7 @@ class Stage:
             on_unit=self._picks.unit, on_synapse=self._picks.synapse,
         )  # fmt: skip
 
-    def _network_at(self) -> Place:
+    def _network_at(self) -> Spot:
         x, y, z = network_at(self._task)
         return x + self._aside, y, z
 
@@ -105,11 +109,6 @@ class Stage:
             self._network.remove()
             self._build_network(largest)
             self.name(self._title)
-
-
-def network_at(task: Task) -> Place:
-    """Over the world it acts in; alone where the task has none to show."""
-    return NETWORK_OVER_WORLD if task.props else NETWORK_ALONE
 
 
 def half_apart(picture: Picture) -> float:

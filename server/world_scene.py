@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from hebbviz.task import Pose, Prop, Task
 from server import palette, shapes
-from server.palette import Rgb, Theme
+from server.look import color_of
+from server.palette import Theme
 
 Array = NDArray[np.float64]
 
@@ -64,7 +65,7 @@ class WorldScene:
             np.tile(np.array([1, 0, 0, 0], dtype=np.float32), (n, 1)),
             np.zeros((n, 3), dtype=np.float32),
             batched_scales=np.full((n, 3), 1e-4, dtype=np.float32),
-            batched_colors=palette.linear(np.array([_color(p, theme) for p in props])),
+            batched_colors=palette.linear(np.array([color_of(p, theme) for p in props])),
             lod="off", flat_shading=shape == "box",
         )  # fmt: skip
 
@@ -75,7 +76,7 @@ class _Trail:
     def __init__(self, scene: viser.SceneApi, root: str, prop: Prop, theme: Theme) -> None:
         self._places: deque[Array] = deque(maxlen=TRAIL + 1)
         fade = np.linspace(0.0, 1.0, TRAIL)
-        colors = palette.blend(fade, theme.world, _color(prop, theme))
+        colors = palette.blend(fade, theme.world, color_of(prop, theme))
         self._line = scene.add_line_segments(
             f"{root}/trail {prop.name}", np.zeros((TRAIL, 2, 3), dtype=np.float32),
             np.repeat(colors[:, None], 2, axis=1), thickness=0.03,
@@ -88,16 +89,3 @@ class _Trail:
         path = np.array(self._places)
         path = np.concatenate([np.repeat(path[:1], TRAIL + 1 - len(path), axis=0), path])
         self._line.points = np.stack([path[:-1], path[1:]], axis=1).astype(np.float32)
-
-
-def _color(prop: Prop, theme: Theme) -> Rgb:
-    if isinstance(prop.color, str):
-        return {
-            "world": theme.world,
-            "world strong": theme.world_strong,
-            "accent": palette.ACCENT,
-            "positive": palette.WEIGHT_POSITIVE,
-            "negative": palette.WEIGHT_NEGATIVE,
-        }[prop.color]
-    r, g, b = (round(255 * c) for c in prop.color)
-    return r, g, b

@@ -36,8 +36,7 @@ from viser.transforms import SO3
 from hebbviz.learner import Learner
 from server.app import Site
 from server.commands import Choose, Pause, Reset, SetBeta, SetSpeed, SetWatch
-from server.look import place
-from server.page import _network_at
+from server.look import network_at, place
 from server.picture import Picture
 from server.worker import Worker
 from sims.loading import make_task
@@ -387,7 +386,7 @@ def on_screen(page: Page, live: Live, unit: int) -> tuple[float, float]:
     (client,) = live.site._server.get_clients().values()
     camera, canvas = client.camera, page.locator("canvas").first.bounding_box()
     assert canvas is not None
-    where = place(live.picture.live.topology).units[unit] + _network_at(live.picture)
+    where = place(live.picture.live.topology).units[unit] + network_at(live.picture.task)
     right, down, ahead = SO3(camera.wxyz).inverse() @ (where - camera.position)
     scale = canvas["height"] / 2 / math.tan(camera.fov / 2) / ahead
     return (

@@ -14,12 +14,12 @@ from rerun.chunk import RrdReader
 from hebbviz.learner import Learner
 from hebbviz.task import Pose, Prop, Task
 from hebbviz.topology import Topology
-from server.look import MOST_SYNAPSES_DRAWN, endpoints, place
+from server.look import MOST_SYNAPSES_DRAWN, NETWORK_OVER_WORLD, endpoints, place
 from server.recording.blueprint import blueprint, log_curve
 from server.recording.header import entity
 from server.recording.props import LEAP, LEAST_EXTENT, packed, path_of, trail_of
 from server.recording.rows import Rows
-from server.recording.scene import NETWORK_OVER_WORLD, ROOT, Scene
+from server.recording.scene import ROOT, Scene
 from sims.loading import make_task
 from sims.synapse import Synapse
 

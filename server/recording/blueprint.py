@@ -16,11 +16,11 @@ from rerun.blueprint.components import PlayState
 from hebbviz.task import Measure, Reading, Task
 from hebbviz.topology import Projection, Topology
 from server import palette
-from server.look import place
+from server.look import network_at, place
 from server.recording.header import entity
 from server.recording.plots import ALL, in_title, plot, span_of, steps_of, up_to_cursor
 from server.recording.props import trail_of
-from server.recording.scene import network_at, unlit
+from server.recording.scene import unlit
 
 TRAIL = 75
 """Steps that a trail goes back."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from server.recording import messages
 from server.recording.header import BadRecording
-from server.recording.rows import CHECKSUM, checksum, objects
+from server.recording.rows import CHECKSUM, NUMBER, checksum, objects
 
 T = TypeVar("T")
 
@@ -51,7 +51,10 @@ def read(path: Path, size: int, entities: Sequence[str]) -> dict[str, Table]:
 
 
 def _checked(name: str, table: Table) -> Table:
-    """The table without its checksums, where it has some. Raises BadRecording if one is wrong."""
+    """The table without its numbers and checksums, where it has some.
+
+    Raises BadRecording if one of them is wrong.
+    """
     columns = dict(table.columns)
     sums = columns.pop(CHECKSUM, None)
     if sums is not None:
@@ -61,6 +64,9 @@ def _checked(name: str, table: Table) -> Table:
                 raise BadRecording(
                     f"its {what} at step {step:,} was changed: its checksum is wrong"
                 )
+    numbers = columns.pop(NUMBER, None)
+    if numbers is not None and (numbers[:, 0] != np.arange(len(table))).any():
+        raise BadRecording(f"it is damaged (a {name.rpartition('/')[2]} is missing)")
     return Table(table.step, columns)
 
 

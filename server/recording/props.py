@@ -14,8 +14,9 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from hebbviz.task import Prop, Task
-from server import palette, shapes
-from server.palette import Rgb, Theme
+from server import shapes
+from server.look import color_of
+from server.palette import Theme
 from server.recording.header import entity
 from server.recording.rows import Columns, Rows, Steps
 
@@ -87,20 +88,6 @@ def path_of(prop: Prop) -> str:
 def trail_of(prop: Prop) -> str:
     """The entity of a prop's trail."""
     return f"{ROOT}/trails/{entity(prop.name)}"
-
-
-def color_of(prop: Prop, theme: Theme) -> Rgb:
-    """Red, green, blue of a prop, as on the page."""
-    if isinstance(prop.color, str):
-        return {
-            "world": theme.world,
-            "world strong": theme.world_strong,
-            "accent": palette.ACCENT,
-            "positive": palette.WEIGHT_POSITIVE,
-            "negative": palette.WEIGHT_NEGATIVE,
-        }[prop.color]
-    r, g, b = (round(255 * c) for c in prop.color)
-    return r, g, b
 
 
 def packed(colors: NDArray[Any]) -> NDArray[np.uint32]:

@@ -114,6 +114,8 @@ def _open(path: Path) -> Recording:
     if not moments:
         raise BadRecording("it was broken off before its first keyframe")
     log = (*header.log, *_changes(tables.get(CHANGES)))
+    if any(m.logged > len(log) for m in moments):
+        raise BadRecording("it is damaged (a change is missing)")
     edges = _edges(tables.get(EDGES))
     sums = tables.get(SUMS)
     last = max(moments[-1].step, int(sums.step[-1]) if sums else 0, *(c.step for c in log), 0)

@@ -12,7 +12,8 @@ import rerun as rr
 from numpy.typing import NDArray
 
 FIRST = "hebbviz/change"
-CHECKSUM = "crc32"
+NUMBER, CHECKSUM = "row", "crc32"
+"""Columns of rows for programs: each has its number, so that none can be lost unnoticed."""
 
 Steps = NDArray[np.int64]
 Columns = Iterable[Any]

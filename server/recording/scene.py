@@ -22,6 +22,7 @@ from server.look import (
     Looks,
     endpoints,
     largest_synapses,
+    network_at,
     place,
     unit_names,
 )
@@ -33,12 +34,9 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 ROOT = "scene/network"
-NETWORK_ALONE = (0.0, 0.0, 0.0)
-NETWORK_OVER_WORLD = (0.0, 1.9, 2.75)
-"""Where the network stands, in scene units: as on the page, over the world it acts in."""
 TRACE_RADIUS, INPUT_WIDTH = 0.03, 0.75
 """Of a trace's bar in scene units; of an input's bar as a share of its diameter."""
-FADE, SWELL, MOST_LIT = (1.0, 0.6, 0.3, 0.1), 0.25, 64
+FADE, SWELL, MOST_LIT = (1.0, 0.6, 0.3, 0.1), 0.25, 8
 """Light of a neuron in the steps after it fired; how much it swells; the most neurons lit so."""
 LABEL_ASIDE = 0.9
 """How far left of a group its name stands."""
@@ -74,11 +72,6 @@ class Scene:
     def look(self, frame: Frame) -> None:
         """The network at the frame's step, lit by the rates since the frame before."""
         self._network.add(frame)
-
-
-def network_at(task: Task) -> tuple[float, float, float]:
-    """Where the network stands: over the world, or alone where there is none to show."""
-    return NETWORK_OVER_WORLD if task.props else NETWORK_ALONE
 
 
 def unlit(topology: Topology, theme: Theme = palette.DARK) -> list[Any]:

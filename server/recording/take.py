@@ -22,6 +22,7 @@ from hebbviz.moments import Block, Frame
 from hebbviz.task import Tally, Task
 from server.commands import Logged
 from server.recording.header import Header
+from server.recording.scene import MOST_LIT
 from server.recording.status import Status
 from server.recording.targets import Target
 from server.recording.thinning import FULL, Plan, Thinning
@@ -262,7 +263,9 @@ class Take(threading.Thread):
 
 
 def _step_size(task: Task, header: Header) -> int:
-    """About what a step that is kept takes in a file, in bytes."""
+    """About what a step that is kept takes in a file, in bytes; what it really took corrects it."""
     neurons, groups = header.topology.neurons, len(header.topology.neuron_groups)
-    moving = sum(p.trail for p in task.props) * 100 + 40 * len(task.props)
-    return 14 * neurons + 24 + 8 * neurons + 8 * groups + 20 * len(task.readings) + moving
+    light = 12 * neurons if neurons <= MOST_LIT else 0
+    props = 40 * len(task.props) + 100 * sum(p.trail for p in task.props)
+    readings = sum(6 if r.steps else 15 for r in task.readings)
+    return 14 * neurons + 8 * groups + 20 + light + props + readings

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 FULL, LIGHT = "full", "light"
 DETAILS = (FULL, LIGHT)
 
-DEFAULT_BUDGET = 30_000_000
+DEFAULT_BUDGET = 40_000_000
 LEAST_BUDGET, MOST_BUDGET = 100_000, 10**12
 SAVED_MINUTES = 1.0
 """What is not used is saved up to so many minutes' worth, and half of it may be used at once."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ class Writer:
         self._task, self._topology = task, header.topology
         self._curves = curves_of(header.topology)
         self._rows = Rows(stream, header.dt)
+        self._recorded: Counter[str] = Counter()
         self._ended_at = header.step
         self._last_readings: Array | None = None
         self._totals = header.edges[-1]
@@ -164,7 +166,9 @@ class Writer:
         self._rows.add(path, steps, values, rows.scalars)
 
     def _record(self, name: str, step: int, **values: Any) -> None:
-        """A row for programs, with its checksum."""
+        """A row for programs, with its number and checksum."""
+        values[rows.NUMBER] = self._recorded[name]
+        self._recorded[name] += 1
         values[rows.CHECKSUM] = rows.checksum(step, values)
         self._rows.add(f"hebbviz/{name}", _at(step), rows.objects([values]), rows.records)
 
