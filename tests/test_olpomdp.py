@@ -1,0 +1,314 @@
+"""Direct reinforcement learning: estimates against their exact limits, climbing, Theorem 1."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_pomdp import SEEDS, distributions, random_case, random_policy
+
+from hebbviz.exact import NetworkPolicy
+from hebbviz.finite_world import finite_world
+from hebbviz.learner import Learner
+from hebbviz.olpomdp import Agent, gpomdp, olpomdp
+from hebbviz.policies import Gibbs, Independent, Neuron
+from hebbviz.pomdp import POMDP, three_state_chain
+from hebbviz.topology import BINARY, SYMMETRIC, Group, Projection, Topology
+
+THETA = np.array([1.0, 1.0, -1.0, -1.0])
+
+
+def cosine(a, b):
+    return float(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
+
+
+# GPOMDP
+
+BETAS = (0.0, 0.4, 0.8, 0.95)
+STEPS, RUNS = 2000, 400
+
+
+@pytest.fixture(scope="module")
+def estimates():
+    """On the three-state chain, for each β: the exact chain and RUNS estimates (RUNS, 4)."""
+    world, policy = three_state_chain()
+    chain = world.under(policy, THETA)
+    runs = [
+        gpomdp(world, policy, THETA, beta=b, steps=STEPS, runs=RUNS, seed=k)
+        for k, b in enumerate(BETAS)
+    ]
+    return chain, dict(zip(BETAS, runs, strict=True))
+
+
+@pytest.mark.parametrize("beta", BETAS)
+def test_the_mean_of_r_z_is_the_closed_form_within_its_standard_error(estimates, beta):
+    chain, runs = estimates
+    error = np.sqrt(chain.noise(beta) / (STEPS * RUNS))
+    off = (runs[beta].mean(axis=0) - chain.biased_gradient(beta)) / error
+    assert np.all(np.abs(off) < 4.0)
+    assert np.all(error < 0.05 * np.abs(chain.gradient))
+
+
+@pytest.mark.parametrize("beta", BETAS)
+def test_its_variance_over_runs_is_the_closed_form(estimates, beta):
+    """The ratio of a variance over 400 runs has a standard deviation of 7 %."""
+    chain, runs = estimates
+    ratio = STEPS * runs[beta].var(axis=0, ddof=1) / chain.noise(beta)
+    assert np.all(np.abs(ratio - 1.0) < 0.3)
+
+
+def test_less_bias_is_paid_for_with_variance(estimates):
+    """As β rises the bias falls and the measured variance grows, here from 0.8 on sevenfold."""
+    chain, runs = estimates
+    variances = [runs[b].var(axis=0, ddof=1).mean() for b in BETAS]
+    biases = [np.linalg.norm(chain.biased_gradient(b) - chain.gradient) for b in BETAS]
+    assert np.all(np.diff(variances) > 0.0) and np.all(np.diff(biases) < 0.0)
+    growth = variances[-1] / variances[-2]
+    assert 0.2 / 0.05 < growth < (0.2 / 0.05) ** 2
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_so_it_is_in_random_worlds(seed):
+    """Mean and variance of r z, β drawn too: 400 runs of 1 000 steps."""
+    world, policy, theta = random_case(100 + seed)
+    chain = world.under(policy, theta)
+    beta = (0.0, 0.5, 0.8, 0.9, 0.6, 0.3)[seed]
+    runs = gpomdp(world, policy, theta, beta=beta, steps=1000, runs=400, seed=seed)
+    noise = chain.noise(beta)
+    moves = noise > 1e-12
+    off = (runs.mean(axis=0) - chain.biased_gradient(beta))[moves]
+    assert np.all(np.abs(off) < 4.5 * np.sqrt(noise[moves] / 400_000))
+    ratio = 1000 * runs.var(axis=0, ddof=1)[moves] / noise[moves]
+    assert np.all(np.abs(ratio - 1.0) < 0.35)
+
+
+def test_gpomdp_repeats_and_refuses():
+    world, policy = three_state_chain()
+
+    def few(**given):
+        options = {"beta": 0.5, "steps": 10, "runs": 2, "seed": 1} | given
+        return gpomdp(world, policy, THETA, **options)
+
+    assert np.array_equal(few(), few())
+    assert not np.array_equal(few(), few(seed=2))
+    for wrong in ({"beta": 1.0}, {"steps": 0}, {"runs": 0}):
+        with pytest.raises(ValueError, match=r"beta must|must be at least 1"):
+            few(**wrong)
+
+
+# OLPOMDP
+
+
+def test_olpomdp_climbs_the_three_state_chain():
+    """From an average reward of 0.29 to within 2 % of the best, 0.8."""
+    world, policy = three_state_chain()
+    agent = Agent(policy, THETA, beta=0.8, gamma=0.1)
+    assert world.under(policy, agent.theta).average_reward < 0.3
+    rewards = olpomdp(world, agent, steps=8000, seed=0)
+    assert world.under(policy, agent.theta).average_reward > 0.784
+    assert rewards[-2000:].mean() > 0.75
+
+
+def test_its_small_steps_are_gpomdps_estimate():
+    """θ moves by γ Σ r z: with γ tiny, Δθ/γ is the sum that GPOMDP averages."""
+    world, policy = three_state_chain()
+    frozen = Agent(policy, THETA, beta=0.8, gamma=0.0)
+    agent = Agent(policy, THETA, beta=0.8, gamma=1e-9)
+    steps = 1000
+    assert np.array_equal(
+        olpomdp(world, agent, steps=steps, seed=3), olpomdp(world, frozen, steps=steps, seed=3)
+    )
+    chain = world.under(policy, THETA)
+    mean = (agent.theta - THETA) / 1e-9 / steps
+    assert np.all(np.abs(mean - chain.biased_gradient(0.8)) < 4 * np.sqrt(chain.noise(0.8) / steps))
+    assert np.array_equal(frozen.theta, THETA)
+
+
+def patience():
+    """At the fork: a snack at once, or a feast two steps on. A slip leads back to the fork."""
+    fork, snack, wait, feast = np.eye(4)
+    hurry, patient = [snack, fork, feast, fork], [wait, fork, feast, fork]
+    moves = 0.95 * np.array([hurry, patient]) + 0.05 * fork
+    return POMDP(moves, np.ones((4, 1)), np.array([0.0, 0.3, 0.0, 1.0]))
+
+
+def test_a_memory_shorter_than_the_delay_climbs_the_wrong_hill():
+    """At β = 0 only the snack is credited; exactly, and in what is learnt."""
+    world, policy = patience(), Gibbs.table(1, 2)
+    chain = world.under(policy, np.zeros(2))
+    assert cosine(chain.biased_gradient(0.0), chain.gradient) == pytest.approx(-1.0)
+    assert cosine(chain.biased_gradient(0.9), chain.gradient) == pytest.approx(1.0)
+    learnt = {}
+    for beta in (0.0, 0.9):
+        agent = Agent(policy, np.zeros(2), beta=beta, gamma=0.05)
+        olpomdp(world, agent, steps=6000, seed=1)
+        learnt[beta] = world.under(policy, agent.theta).average_reward
+    best, worst = (
+        world.under(policy, np.array(t)).average_reward for t in ([0.0, 50.0], [50.0, 0.0])
+    )
+    assert learnt[0.9] > 0.95 * best
+    assert learnt[0.0] < 1.05 * worst < 0.6 * best
+
+
+def test_an_agent_refuses_what_does_not_fit():
+    policy = Gibbs.table(1, 2)
+    with pytest.raises(ValueError, match=r"theta must have shape \(2,\), got \(3,\)"):
+        Agent(policy, np.zeros(3), beta=0.5, gamma=0.1)
+    with pytest.raises(ValueError, match="beta must be in"):
+        Agent(policy, np.zeros(2), beta=1.0, gamma=0.1)
+    with pytest.raises(ValueError, match="gamma"):
+        Agent(policy, np.zeros(2), beta=0.5, gamma=-1.0)
+
+
+# Theorem 1
+
+
+def random_agents(rng, count):
+    """A world of `count` agents with a joint observation that each sees a part of."""
+    sights = int(rng.integers(1, 5))
+    own = [int(rng.integers(1, 4)) for _ in range(count)]
+    sees = np.array([rng.integers(n, size=sights) for n in own])
+    policies = tuple(random_policy(rng, n) for n in own)
+    joint = Independent(policies, sees)
+    theta = rng.normal(size=joint.parameters)
+    states, controls = int(rng.integers(2, 5)), joint.probabilities(theta).shape[1]
+    world = POMDP(
+        distributions(rng, controls, states, states), distributions(rng, states, sights),
+        rng.normal(size=states),
+    )  # fmt: skip
+    return world, joint, theta
+
+
+@settings(max_examples=40)
+@given(seed=SEEDS, count=st.integers(1, 4), beta=st.floats(0.0, 0.99), gamma=st.floats(0.001, 0.5))
+def test_the_combined_agents_update_is_each_agents_own(seed, count, beta, gamma):
+    """Theorem 1: from the one reward, what each sees and what each did, and nothing else."""
+    rng = np.random.default_rng(seed)
+    world, joint, theta = random_agents(rng, count)
+    combined = Agent(joint, theta, beta=beta, gamma=gamma)
+    alone = [
+        Agent(policy, part, beta=beta, gamma=gamma)
+        for policy, part in zip(joint.agents, joint.parts(theta), strict=True)
+    ]
+    x = 0
+    for _ in range(60):
+        y = rng.choice(world.sights, p=world.observations[x])
+        u = combined.choose(y, rng.random())
+        combined.remember(y, u)
+        digits = joint.controls(combined.theta)[:, u]
+        for agent, seen, did in zip(alone, joint.sees[:, y], digits, strict=True):
+            agent.remember(seen, did)
+        x = rng.choice(world.states, p=world.transitions[u, x])
+        for agent in (combined, *alone):
+            agent.reinforce(world.rewards[x])
+    for name in ("theta", "trace"):
+        together, apart = getattr(combined, name), [getattr(a, name) for a in alone]
+        assert np.allclose(together, np.concatenate(apart), rtol=1e-12, atol=1e-12)
+
+
+@settings(max_examples=30)
+@given(seed=SEEDS, count=st.integers(1, 3))
+def test_a_joint_policy_is_a_distribution_with_its_own_score(seed, count):
+    _, joint, theta = random_agents(np.random.default_rng(seed), count)
+    mu, score = joint.probabilities(theta), joint.score(theta)
+    assert np.allclose(mu.sum(axis=1), 1.0, rtol=0, atol=1e-13)
+    for k, step in enumerate(1e-5 * np.eye(theta.size)):
+        up, down = joint.probabilities(theta + step), joint.probabilities(theta - step)
+        numeric = (np.log(up) - np.log(down)) / 2e-5
+        assert np.allclose(score[:, :, k], numeric, rtol=0, atol=1e-8)
+
+
+def others_as_world(world, joint, theta, agent):
+    """The POMDP that one agent lives in if the others are a part of it; its state is (x, y)."""
+    parts, digits = joint.parts(theta), joint.controls(theta)
+    states, sights, own = world.states, world.sights, digits[agent].max() + 1
+    moves = np.zeros((own, states, sights, states, sights))
+    for u in range(world.controls):
+        chance = np.ones(sights)
+        for i, (policy, part) in enumerate(zip(joint.agents, parts, strict=True)):
+            if i != agent:
+                chance = chance * policy.probabilities(part)[joint.sees[i], digits[i, u]]
+        step = np.einsum("ij,jz->ijz", world.transitions[u], world.observations)
+        moves[digits[agent, u]] += np.einsum("y,ijz->iyjz", chance, step)
+    many = states * sights
+    sees = np.zeros((states, sights, joint.sees[agent].max() + 1))
+    sees[:, np.arange(sights), joint.sees[agent]] = 1.0
+    return POMDP(
+        moves.reshape(own, many, many), sees.reshape(many, -1), np.repeat(world.rewards, sights)
+    )
+
+
+class Narrow:
+    """A policy's first observations alone."""
+
+    def __init__(self, policy, sights):
+        self.policy, self.sights, self.parameters = policy, sights, policy.parameters
+
+    def probabilities(self, theta):
+        return self.policy.probabilities(theta)[: self.sights]
+
+    def score(self, theta):
+        return self.policy.score(theta)[: self.sights]
+
+
+@settings(max_examples=25)
+@given(seed=SEEDS, count=st.integers(2, 3), beta=st.floats(0.0, 0.99))
+def test_to_each_agent_the_others_are_a_part_of_the_world(seed, count, beta):
+    """∇η and E[r z] of the combined agent are, put together, those of each in its own world."""
+    world, joint, theta = random_agents(np.random.default_rng(seed), count)
+    chain = world.under(joint, theta)
+    gradient, biased = [], []
+    for i, (policy, part) in enumerate(zip(joint.agents, joint.parts(theta), strict=True)):
+        own = others_as_world(world, joint, theta, i)
+        alone = own.under(Narrow(policy, own.sights), part)
+        assert alone.average_reward == pytest.approx(chain.average_reward, abs=1e-12)
+        gradient.append(alone.gradient)
+        biased.append(alone.biased_gradient(beta))
+    assert np.allclose(chain.gradient, np.concatenate(gradient), rtol=0, atol=1e-11)
+    assert np.allclose(chain.biased_gradient(beta), np.concatenate(biased), rtol=0, atol=1e-11)
+
+
+TOPOLOGY = Topology(
+    (Group("in", 2, is_input=True), Group("hidden", 2), Group("out", 1)),
+    tuple(Projection(*p.split()) for p in ("in hidden", "hidden out", "out hidden", "in out")),
+    "out",
+    BINARY,
+)
+
+
+@pytest.mark.parametrize("activity", [BINARY, SYMMETRIC])
+def test_a_network_is_neurons_that_each_run_olpomdp_on_their_own_synapses(activity):
+    """500 steps of the compiled learner, γ large: every spike, and every weight to rounding."""
+    topology = Topology(TOPOLOGY.groups, TOPOLOGY.projections, TOPOLOGY.output, activity)
+    rng = np.random.default_rng(5)
+    vectors = rng.normal(size=(3, 2))
+    pomdp = POMDP(distributions(rng, 2, 4, 4), distributions(rng, 4, 3), rng.normal(size=4))
+    task = finite_world(pomdp, vectors, activity=activity)
+    learner = Learner(task, topology=topology, beta=0.8, gamma=0.1, seed=2)
+    policy = NetworkPolicy(topology, vectors)
+    mine = [np.flatnonzero(policy.post == i) for i in range(topology.neurons)]
+    start = learner.weights[:, 0]
+    neurons = [
+        Agent(Neuron(policy.seen[:, policy.pre[own]]), start[own], beta=0.8, gamma=0.1)
+        for own in mine
+    ]
+    whole = Agent(policy, start, beta=0.8, gamma=0.1)
+    for _ in range(500):
+        before = learner.activities[:, 0]
+        y = int(np.flatnonzero((policy.seen == before).all(axis=1))[0])
+        block, frame = learner.advance(1), learner.frame()
+        fired, reward = block.fired[0], block.reward[0]
+        chosen = [a.choose(y, 1.0 - d) for a, d in zip(neurons, frame.draw, strict=True)]
+        assert chosen == fired.tolist()
+        for agent, u in zip(neurons, chosen, strict=True):
+            agent.remember(y, u)
+        whole.remember(y, int(2 ** np.arange(len(fired)) @ fired))
+        for agent in (*neurons, whole):
+            agent.reinforce(reward)
+    for agent, own in zip(neurons, mine, strict=True):
+        assert np.allclose(agent.theta, learner.weights[own, 0], rtol=0, atol=1e-10)
+        assert np.allclose(agent.trace, learner.traces[own, 0], rtol=0, atol=1e-10)
+    assert np.allclose(whole.theta, learner.weights[:, 0], rtol=0, atol=1e-10)
+    assert np.abs(learner.weights[:, 0] - start).max() > 0.1
+    assert math.isfinite(learner.weights.sum())
