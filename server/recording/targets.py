@@ -38,7 +38,8 @@ class FileTarget:
         path.open("xb").close()
         self.path = path
         stream, _ = _stream()
-        stream.set_sinks(rr.FileSink(path, write_footer=True))
+        # a footer would be an index of all chunks, kept in memory: 24 MB more each minute
+        stream.set_sinks(rr.FileSink(path, write_footer=False))
         self._inode = path.stat().st_ino
         return stream
 
