@@ -444,6 +444,7 @@ def test_a_training_on_a_full_disk_ends_with_its_figures(
         assert made_again(recording)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", [train(), serve("--speed", "max")], ids=["train", "serve"])
 @pytest.mark.parametrize("by_others", [False, True], ids=["by us", "by others"])
 def test_a_run_goes_on_when_the_disk_is_full_and_still_ends(
@@ -467,6 +468,7 @@ def test_a_run_goes_on_when_the_disk_is_full_and_still_ends(
         assert open_recording(path).last_step >= recorded > 0
 
 
+@pytest.mark.slow
 def test_a_file_that_is_deleted_is_said_and_the_run_goes_on(
     tmp_path: Path, start: Callable[..., Program]
 ) -> None:
@@ -682,6 +684,7 @@ def address_of_stream(program: Program) -> tuple[str, int]:
     return found[1], int(found[2])
 
 
+@pytest.mark.slow
 def test_a_viewer_gets_what_is_recorded(tmp_path: Path, start: Callable[..., Program]) -> None:
     program = start(*serve("--speed", 200, "--stream", 0, "--record", tmp_path / "file.rrd"))
     url, port = address_of_stream(program)
@@ -706,6 +709,7 @@ def test_a_viewer_gets_what_is_recorded(tmp_path: Path, start: Callable[..., Pro
     assert program.err() == ""
 
 
+@pytest.mark.slow
 def test_a_viewer_that_stalls_or_is_killed_slows_nothing(
     tmp_path: Path, start: Callable[..., Program]
 ) -> None:

@@ -213,6 +213,7 @@ def test_a_recording_that_has_grown_is_served_as_it_is_now(tmp_path: Path) -> No
         assert _ask(one, "/recording.rrd")[0] == 404
 
 
+@pytest.mark.slow
 def test_a_large_recording_is_never_in_memory(tmp_path: Path) -> None:
     path = tmp_path / "large.rrd"
     path.write_bytes(b"RRF2")
