@@ -7,7 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Status:
-    """What can be said of a recording; `size` in bytes, None where it is not known."""
+    """What can be said of a recording; `size` in bytes, None where it is not known.
+
+    `rule` says by what rule it is thinned.
+    """
 
     where: str
     size: int | None
@@ -16,6 +19,7 @@ class Status:
     kept: int
     every: int
     dropped: int
+    rule: str
     error: str | None
 
     @property

@@ -193,7 +193,7 @@ class Take(threading.Thread):
         steps = self._step - self._header.step
         return Status(
             self._target.words, self._target.size(), time.monotonic() - self._began, steps,
-            self._kept, self._plan.every, self._dropped, self.error,
+            self._kept, self._plan.every, self._dropped, self._header.thinning, self.error,
         )  # fmt: skip
 
     def _tell(self, job: Job, size: int, *, must: bool = False) -> bool:

@@ -31,7 +31,7 @@ def rule(window: int, budget: int, detail: str) -> str:
     if detail == LIGHT:
         return f"no single steps are kept (--detail light); {always}"
     return (
-        f"every step is kept while that takes less than {words(budget)} a minute; beyond that, "
+        f"all steps are kept while that takes less than {words(budget)} a minute; beyond that, "
         f"windows of {window:,} steps at regular intervals, and {always}"
     )
 
