@@ -8,12 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.task import Tally
+from hebbviz.task import Tally, Task
 
 Array = NDArray[np.float64]
 
 CAPACITY = 512
 BEGINNING = Tally(0, 0.0, 0.0, 0.0)
+
+
+def usual_window(task: Task) -> int:
+    """Steps of a window that sums up a task: 10 s of its time, or 1 000 where it has none."""
+    return round(10.0 / task.dt) if task.dt else 1000
 
 
 @dataclass(frozen=True)

@@ -95,10 +95,6 @@ def _add_serve(commands: Any) -> None:
         help="serve what is recorded to rerun's viewers on this machine too (default port "
         "%(const)s, 0 for any)",
     )  # fmt: skip
-    serve.add_argument(
-        "--recordings", type=Path, default=Path("hebbviz-recordings"), metavar="FOLDER",
-        help="folder for recordings that are begun on the page (default %(default)s)",
-    )  # fmt: skip
 
 
 def _add_train(commands: Any) -> None:
@@ -201,10 +197,6 @@ def _add_replay(commands: Any) -> None:
     _add_recorded(replay)
     _add_own_task(replay)
     _add_page(replay)
-    replay.add_argument(
-        "--recordings", type=Path, default=Path("hebbviz-recordings"), metavar="FOLDER",
-        help="folder for recordings that are begun on the page (default %(default)s)",
-    )  # fmt: skip
 
 
 def _add_view(commands: Any) -> None:
@@ -272,6 +264,10 @@ def _add_page(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--port", type=_whole("port", 0, 65535), metavar="N",
         help="port to listen on, 0 for any (default 8080, or the next free one)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--recordings", type=Path, default=Path("hebbviz-recordings"), metavar="FOLDER",
+        help="folder for recordings that are begun on the page (default %(default)s)",
     )  # fmt: skip
     parser.add_argument("--no-browser", action="store_true", help="open no browser")
 

@@ -14,7 +14,7 @@ from hebbviz.learner import Learner
 from hebbviz.moments import Block, Frame
 from hebbviz.task import Tally, Task
 from server.commands import Change, Choose, Logged, Reset
-from server.history import Curve, History
+from server.history import Curve, History, usual_window
 from server.recording.thinning import Plan
 from server.tape import MOST_BYTES, Moment, Tape
 
@@ -269,8 +269,8 @@ class Replay:
 
 def _new_history(learner: Learner) -> History:
     task = learner.task
-    window = round(10.0 / task.dt) if task.dt else 1000
-    return History(1 if task.natural_speed is not None else window, learner.tally())
+    window = 1 if task.natural_speed is not None else usual_window(task)
+    return History(window, learner.tally())
 
 
 def _new_tape(learner: Learner, logged: int = 0) -> Tape:

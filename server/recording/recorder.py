@@ -11,6 +11,7 @@ from dataclasses import replace
 from hebbviz.moments import Block, Frame
 from hebbviz.task import Tally
 from server.commands import Logged
+from server.history import usual_window
 from server.recording import thinning
 from server.recording.header import RULE, Header, machine, versions
 from server.recording.status import Status
@@ -144,7 +145,7 @@ def _in_words(error: Exception) -> str:
 
 def _header(run: Run, budget: int, detail: str) -> Header:
     learner, task = run.learner, run.learner.task
-    window = round(10.0 / task.dt) if task.dt else 1000
+    window = usual_window(task)
     return Header(
         task=run.task_name, preset=task.preset_name, topology=learner.topology,
         seed=learner.seed, first_lane=learner.first_lane, rule=RULE, beta=learner.beta,

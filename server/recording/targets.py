@@ -11,6 +11,8 @@ from pathlib import Path
 
 import rerun as rr
 
+from server.terminal import reason
+
 APPLICATION = "hebbviz"
 DEFAULT_STREAM_PORT = 9876
 RESERVE = 4_000_000
@@ -61,7 +63,7 @@ class FileTarget:
             free = shutil.disk_usage(self.path.parent).free
             written = self.path.stat().st_size
         except OSError as error:
-            return f"its file is gone ({(error.strerror or str(error)).lower()})"
+            return f"its file is gone ({reason(error)})"
         if free < RESERVE + RESERVE_SHARE * written + pending:
             return f"the disk is full but for {free / 1e6:.1f} MB"
         return None
@@ -124,7 +126,7 @@ def _free_port(port: int) -> int:
             probe.bind(("127.0.0.1", port))
         except OSError as error:
             raise OSError(
-                f"cannot stream on port {port}: {(error.strerror or str(error)).lower()}; "
+                f"cannot stream on port {port}: {reason(error)}; "
                 "give --stream another port, or 0 for any"
             ) from error
         return int(probe.getsockname()[1])

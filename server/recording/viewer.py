@@ -26,6 +26,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from server.terminal import reason
 from server.window import open_window
 
 if TYPE_CHECKING:
@@ -197,8 +198,7 @@ def check_recording(path: str | Path) -> Path:
         with path.open("rb") as file:
             beginning = file.read(len(MAGIC))
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise ValueError(f"cannot show {path}: {reason}; {advice}") from error
+        raise ValueError(f"cannot show {path}: {reason(error)}; {advice}") from error
     if beginning != MAGIC:
         raise ValueError(f"cannot show {path}: it is no rerun recording; {advice}")
     return path
@@ -316,11 +316,10 @@ def _listen(port: int) -> _Server:
     try:
         return _Server(port)
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        if error.errno == errno.EADDRINUSE:
-            reason = "the port is taken"
+        taken = error.errno == errno.EADDRINUSE
+        why = "the port is taken" if taken else reason(error)
         advice = "choose another port, or 0 for any free one"
-        raise OSError(f"can't listen on {HOST}:{port}: {reason}; {advice}") from error
+        raise OSError(f"can't listen on {HOST}:{port}: {why}; {advice}") from error
 
 
 def _page(name: str) -> dict[str, _File]:
