@@ -221,6 +221,9 @@ def figures_of(learner: Learner, training: Training, task_name: str) -> Figures:
         "network": learner.topology.describe(),
         "beta": learner.beta,
         "gamma": learner.gamma,
+        "rule": str(learner.rule),
+        "fall": _finite(learner.fall),
+        "gamma_in_force": learner.gamma_in_force,
         "frozen": learner.frozen,
         "seed": learner.seed,
         "steps": steps,
@@ -243,6 +246,8 @@ def describe(figures: Figures, own: Figures) -> str:
     lines = [
         f"{figures['task']} {figures['preset']}, {figures['network']}, seed {figures['seed']}, "
         f"β {figures['beta']:.6g}, γ {figures['gamma']:.3g}"
+        + ("" if figures["fall"] is None else f" falling over {figures['fall']:.6g} steps")
+        + f", rule {figures['rule']}"
         + (", learning frozen" if figures["frozen"] else ""),
         f"{figures['steps']:,} steps in {figures['seconds']:.2f} s"
         + (f", {figures['steps_per_second']:,.0f} a second" if figures["steps"] else "")
