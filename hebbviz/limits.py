@@ -33,7 +33,7 @@ def check_fall(fall: float) -> float:
     if fall != math.inf and not (_is_number(fall) and 1.0 <= fall <= LARGEST_FALL):
         raise ValueError(
             f"fall (the steps over which gamma falls) must be from 1 to {LARGEST_FALL:g}, or "
-            f"infinity for a gamma that stays, got {fall!r}"
+            f"infinity (never), got {fall!r}"
         )
     return float(fall)
 

@@ -176,7 +176,9 @@ def _number(name: str) -> Callable[[str], float]:
 
 
 def _fall(text: str) -> float:
-    return math.inf if text == "never" else _number("fall")(text)
+    with contextlib.suppress(ValueError):
+        return math.inf if text == "never" else float(text)
+    raise argparse.ArgumentTypeError(f"fall must be a number of steps or never, got {text!r}")
 
 
 def _speed(text: str) -> Speed:

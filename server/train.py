@@ -15,6 +15,7 @@ from tqdm import tqdm  # type: ignore[import-untyped]
 
 import hebbviz
 from hebbviz.learner import TaskError
+from hebbviz.rules.paper import PAPER
 from server.making import maker
 from server.recording.recordings import Options, Recordings
 from server.recording.status import Status
@@ -247,7 +248,7 @@ def describe(figures: Figures, own: Figures) -> str:
         f"{figures['task']} {figures['preset']}, {figures['network']}, seed {figures['seed']}, "
         f"β {figures['beta']:.6g}, γ {figures['gamma']:.3g}"
         + ("" if figures["fall"] is None else f" falling over {figures['fall']:.6g} steps")
-        + f", rule {figures['rule']}"
+        + ("" if figures["rule"] == PAPER.name else f", rule {figures['rule']}")
         + (", learning frozen" if figures["frozen"] else ""),
         f"{figures['steps']:,} steps in {figures['seconds']:.2f} s"
         + (f", {figures['steps_per_second']:,.0f} a second" if figures["steps"] else "")

@@ -80,8 +80,9 @@ class Rule:
         try:
             return _compiled(type(self).modulate)
         except NumbaError as error:
-            why = " ".join(str(error).split())[:300]
-            raise ValueError(f"rule {self.name}: modulate cannot be compiled: {why}") from error
+            where, *why = str(error).splitlines()  # the first line tells of numba alone
+            said = (why or [where])[0][:200]
+            raise ValueError(f"rule {self.name}: modulate cannot be compiled: {said}") from error
 
     def __str__(self) -> str:
         given = (f"{f.name}={_shortest(getattr(self, f.name))}" for f in dataclasses.fields(self))

@@ -12,6 +12,7 @@ from typing import Any
 
 import hebbviz
 from hebbviz.limits import fall_from_json, fall_to_json
+from hebbviz.rules import Rule, make_rule
 from hebbviz.rules.paper import PAPER
 from hebbviz.task import Tally
 from hebbviz.topology import Topology
@@ -107,6 +108,14 @@ class Header:
         return cls(**said)
 
 
+def known_rule(spec: str) -> Rule:
+    """The rule that a recording names. Raises BadRecording if it is not known here."""
+    try:
+        return make_rule(spec)
+    except ValueError as error:
+        raise BadRecording(f"its rule is not known here: {error}") from error
+
+
 def versions() -> dict[str, str]:
     """The versions that a run's bits may depend on."""
     return {
@@ -125,12 +134,16 @@ def change_to_json(logged: Logged) -> dict[str, Any]:
 
 
 def change_from_json(said: Any) -> Logged:
-    """Raises ValueError if it is no change, or one of a kind or value that is not allowed."""
+    """Raises ValueError if it is no change, or one of a kind or value that is not allowed, and
+    BadRecording for a rule that is not known here.
+    """
     try:
         fields = dict(said)
         step, kind = fields.pop("step"), CHANGES[fields.pop("kind")]
         if "fall" in fields:
             fields["fall"] = fall_from_json(fields["fall"])
+        if kind is SetRule:
+            known_rule(str(fields["rule"]))
         change = kind(**fields)
         _check_types(change)
     except (KeyError, TypeError) as error:

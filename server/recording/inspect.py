@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import Any
 
 from hebbviz.limits import fall_to_json
+from hebbviz.rules.paper import PAPER
 from hebbviz.task import Tally
 from server.recording.header import change_to_json
 from server.recording.reader import Recording
@@ -66,7 +67,8 @@ def describe(found: Figures) -> str:
         f"{found['task']} {found['preset']}, {found['network']}, seed {found['seed']}, "
         f"β {found['beta']:.6g}, γ {found['gamma']:.3g}"
         + ("" if found["fall"] is None else f" falling over {found['fall']:.6g} steps")
-        + f", rule {found['rule']} at its start",
+        + ("" if found["rule"] == PAPER.name else f", rule {found['rule']}")
+        + " at its start",
         f"steps {found['first_step']:,} to {found['last_step']:,}{seconds}",
         f"{size_of(found['bytes'])}, {whole}" + (f": {found['ending']}" if found["ending"] else ""),
         f"{found['keyframes']} keyframes, at most {found['steps_between_keyframes']:,} steps apart",

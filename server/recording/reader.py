@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from hebbviz.learner import Learner
 from hebbviz.moments import Keyframe
-from hebbviz.rules import Rule, make_rule
+from hebbviz.rules import Rule
 from hebbviz.rules.paper import PAPER
 from hebbviz.task import Tally, Task
 from server.commands import Logged
 from server.history import History
 from server.recording import messages
 from server.recording.chunks import Table, read, readable
-from server.recording.header import BadRecording, Header, change_from_json
+from server.recording.header import BadRecording, Header, change_from_json, known_rule
 from server.recording.stored import Stored
 from server.run import MakeTask, Run
 from server.tape import Moment, Tape
@@ -75,7 +75,7 @@ class Recording:
         try:
             learner = Learner(
                 task, topology=header.topology, beta=header.beta, gamma=header.gamma,
-                rule=make_rule(header.rule), fall=header.fall, seed=header.seed,
+                rule=known_rule(header.rule), fall=header.fall, seed=header.seed,
                 first_lane=header.first_lane,
             )  # fmt: skip
             learner.restore(self.moments[-1].keyframe)
@@ -147,7 +147,7 @@ def _moments(table: Table | None) -> tuple[Moment, ...]:
         rule: Rule = PAPER
         memory, fall = np.zeros((0, 1)), math.inf
         if "rule" in c:
-            rule, memory = make_rule(c["rule"][k]), _lane(c["memory"][k])
+            rule, memory = known_rule(c["rule"][k]), _lane(c["memory"][k])
             fall = float(c["fall"][k][0])
         keyframe = Keyframe(step, network, world, gamma, bool(c["frozen"][k]), rule, memory, fall)
         if keyframe.digest() != c["digest"][k]:
