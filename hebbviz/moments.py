@@ -76,6 +76,12 @@ class Block:
         """The step after the last."""
         return self.start + len(self.fired)
 
+    def events(self, rule: Rule) -> Array:
+        """What to look for rewards in, (n,): what was sent; of other rules than the paper's, which
+        may send something at every step, what the task gave.
+        """
+        return self.broadcast if rule == PAPER else self.reward
+
     def tail(self, steps: int) -> Block:
         """The last `steps` steps, or all if there are fewer."""
         return self.part(max(self.start, self.end - steps), self.end)
