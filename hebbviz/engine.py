@@ -33,6 +33,10 @@ _INPUTS, _U, _V, _FIRED, _BY_HAND, _REWARD, _TALLY = (
     HEADER.index(n)
     for n in ("inputs", "activity", "potential", "fired", "by_hand", "reward", "tally")
 )
+_GAMMA = HEADER.index("gamma")
+
+FALL_EVERY = 256
+"""A γ that falls is set anew at the steps that are divisible by this."""
 
 
 @inlined
@@ -53,6 +57,15 @@ def _broadcast(state, table, row, reward, modulated, ended, instead):  # type: i
         state[tally, lane] += raw
         state[tally + 1, lane] += sent
         state[tally + 2, lane] += ended[lane]
+
+
+@inlined
+def _fall(state, table, gamma, fall, step):  # type: ignore[no-untyped-def]
+    """Put γ in force as it is from this step on: γ/(1 + t/T)."""
+    first = at(table[0], _GAMMA)
+    for k in range(gamma.shape[0]):
+        for lane in range(gamma.shape[1]):
+            state[first + k, lane] = gamma[k, lane] / (1.0 + step / fall)
 
 
 @inlined
@@ -110,12 +123,13 @@ def settle(  # type: ignore[no-untyped-def]
 
 @compiled
 def run(  # type: ignore[no-untyped-def]
-    n, start, answer, state, table, keys, low, high, world, data, observation, modulate, memory,
-    constants, modulated, instead, watch, spikes, rewards, potentials, worlds, counts, extremes,
-    probes,
+    n, start, answer, state, table, keys, low, high, world, data, observation, gamma, fall,
+    modulate, memory, constants, modulated, instead, watch, spikes, rewards, potentials, worlds,
+    counts, extremes, probes,
 ):  # fmt: skip
     """`n` steps of a compiled world, the first of them number `start`.
 
+    `gamma` (projections, lanes; 0 while frozen) falls over `fall` steps, unless that is infinite.
     `modulate`, `memory` and `constants` are the rule's, see `rules.Rule`; `modulated` (lanes, or
     0 for the paper's rule, which is not called) is room for what it makes of the reward. `instead`
     (n or 0) is broadcast in its place. `watch` is the lane that is
@@ -132,6 +146,8 @@ def run(  # type: ignore[no-untyped-def]
     ended = np.empty(lanes)
     sent = modulated if modulated.shape[0] > 0 else reward
     for t in range(n):
+        if fall < np.inf and (start + t) % FALL_EVERY == 0:
+            _fall(state, table, gamma, fall, start + t)
         respond(state, table, keys, start + t, low, high)
         for i in range(outputs):
             for lane in range(lanes):

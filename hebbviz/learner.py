@@ -44,9 +44,6 @@ Array = NDArray[np.float64]
 NOBODY = -1
 """In place of a watched lane: nothing is noted."""
 
-FALL_EVERY = 256
-"""A γ that falls is set anew at the steps that are divisible by this."""
-
 EVALUATION_STEP = 2**40
 """Frozen copies count their steps from here, so that they draw other numbers than the learner."""
 
@@ -71,12 +68,6 @@ class _Notes(NamedTuple):
             np.zeros((steps, neurons), dtype=np.uint8), np.zeros((steps, 3)),
             np.zeros((near, neurons)), np.zeros((near, numbers or 0)),
         )  # fmt: skip
-
-    def after(self, row: int) -> _Notes:
-        """Room for the steps that follow on the first ones, as far as there is any."""
-        return _Notes(
-            self.fired[row:], self.rewards[row:], self.potentials[row:], self.worlds[row:]
-        )
 
 
 class Learner:
@@ -176,18 +167,6 @@ class Learner:
         return len(self._lane_states()[self.watch]) if closely else None
 
     def _run(self, steps: int, watch: int, notes: _Notes, instead: Array) -> None:
-        """All the steps; of a γ that falls, each stretch in which it is the same."""
-        if math.isinf(self._fall):
-            self._run_stretch(steps, watch, notes, instead)
-            return
-        end, start = self.step + steps, self.step
-        while self.step < end:
-            self._put_gamma()
-            until = min(end, self.step - self.step % FALL_EVERY + FALL_EVERY)
-            row = self.step - start
-            self._run_stretch(until - self.step, watch, notes.after(row), instead[row:])
-
-    def _run_stretch(self, steps: int, watch: int, notes: _Notes, instead: Array) -> None:
         if isinstance(self.task, CompiledTask):
             self._run_compiled(self.task, steps, watch, notes, instead)
         else:
@@ -199,14 +178,17 @@ class Learner:
     ) -> None:
         engine.run(
             steps, self.step, task.answer, self.network, self.layout.table, self._keys,
-            *self.topology.activity, self._world, self._data, self._observed, self._modulate,
-            self._memory, self._constants, self._modulated, instead, watch, *notes, self._counts,
-            self._extremes, self._probe_rows,
+            *self.topology.activity, self._world, self._data, self._observed,
+            self._step_size, self._fall, self._modulate, self._memory, self._constants,
+            self._modulated, instead, watch, *notes, self._counts, self._extremes,
+            self._probe_rows,
         )  # fmt: skip
         self.step += steps
 
     def _step_python(self, row: int, watch: int, notes: _Notes, instead: Array) -> None:
         """One step of a world in Python; if the world fails, nothing has happened."""
+        if self.step % engine.FALL_EVERY == 0 and self._fall < math.inf:
+            self._put_gamma()
         np.copyto(self._before, self.network)
         memory = self._memory.copy()
         rule.respond(
@@ -282,7 +264,7 @@ class Learner:
 
     def set_fall(self, fall: float) -> None:
         """Let γ fall over T steps: in force at step t is γ/(1 + t/T), with t counted from the
-        start of the run and rounded down to a multiple of FALL_EVERY. Infinity: γ stays.
+        start of the run and rounded down to a multiple of engine.FALL_EVERY. Infinity: γ stays.
         """
         self._fall = check_fall(fall)
         self._put_gamma()
@@ -497,6 +479,7 @@ class Learner:
         np.copyto(self.network, keyframe.network)
         np.copyto(self._gamma, keyframe.gamma)
         self._frozen, self._fall = keyframe.frozen, keyframe.fall
+        self._step_size = self._gamma * (not self._frozen)
         self._put_states([keyframe.world[:, k].copy() for k in range(self.lanes)])
         self._observed[:] = self._section("activity")[: self.topology.inputs]
         self._new_summary()
@@ -570,9 +553,9 @@ class Learner:
 
     def _put_gamma(self) -> None:
         """Put γ in force, as it is at this step."""
-        since = self.step - self.step % FALL_EVERY
-        falls = 1.0 + since / self._fall
-        self._section("gamma")[:] = 0.0 if self._frozen else self._gamma / falls
+        self._step_size = self._gamma * (not self._frozen)
+        since = self.step - self.step % engine.FALL_EVERY
+        self._section("gamma")[:] = self._step_size / (1.0 + since / self._fall)
 
     def _look(self, states: Sequence[Array]) -> Array:
         """What the network would see of these states, (inputs, lanes)."""

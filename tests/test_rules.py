@@ -11,8 +11,9 @@ import pytest
 from conformance import check_rule, same_learner
 
 from hebbviz import rules
+from hebbviz.engine import FALL_EVERY
 from hebbviz.files import BadFile, load, save
-from hebbviz.learner import FALL_EVERY, Learner
+from hebbviz.learner import Learner
 from hebbviz.rules import Rule, make_rule, parameter, register, rule_names
 from hebbviz.rules.baseline import Baseline
 from hebbviz.rules.paper import Paper
