@@ -15,8 +15,7 @@ from numba import types
 from hebbviz.compiled import compiled, inlined
 from hebbviz.layout import HEADER
 from hebbviz.rule import KEYS, STATE, at, hold, reinforce, respond
-
-PER_LANE = types.Array(types.float64, 1, "C")
+from hebbviz.rules import PER_LANE
 
 WORLD = types.int64(STATE, STATE, STATE, KEYS, types.int64, STATE, PER_LANE, PER_LANE)
 """A compiled world's step: (world, action, data, keys, step, observation, reward, ended).
@@ -34,25 +33,39 @@ _INPUTS, _U, _V, _FIRED, _BY_HAND, _REWARD, _TALLY = (
     HEADER.index(n)
     for n in ("inputs", "activity", "potential", "fired", "by_hand", "reward", "tally")
 )
+_GAMMA = HEADER.index("gamma")
+
+FALL_EVERY = 256
+"""A γ that falls is set anew at the steps that are divisible by this."""
 
 
 @inlined
-def _broadcast(state, table, row, reward, ended, instead):  # type: ignore[no-untyped-def]
-    """The reward pipeline: the task's r + reward given by hand, sent to every synapse.
+def _broadcast(state, table, row, reward, modulated, ended, instead):  # type: ignore[no-untyped-def]
+    """The reward pipeline: the task's r → the rule's m + reward given by hand → every synapse.
 
-    Where `instead` has rows, its row is sent in place of the task's r.
+    Where `instead` has rows, its row is sent in place of m.
     """
     head = table[0]
     r, tally, by_hand = at(head, _REWARD), at(head, _TALLY), at(head, _BY_HAND)
     for lane in range(state.shape[1]):
         raw = reward[lane]
-        sent = (instead[row] if instead.shape[0] > 0 else raw) + state[by_hand, lane]
+        m = instead[row] if instead.shape[0] > 0 else modulated[lane]
+        sent = m + state[by_hand, lane]
         state[by_hand, lane] = 0.0
         state[r, lane] = raw
         state[r + 1, lane] = sent
         state[tally, lane] += raw
         state[tally + 1, lane] += sent
         state[tally + 2, lane] += ended[lane]
+
+
+@inlined
+def _fall(state, table, gamma, fall, step):  # type: ignore[no-untyped-def]
+    """Put γ in force as it is from this step on: γ/(1 + t/T)."""
+    first = at(table[0], _GAMMA)
+    for k in range(gamma.shape[0]):
+        for lane in range(gamma.shape[1]):
+            state[first + k, lane] = gamma[k, lane] / (1.0 + step / fall)
 
 
 @inlined
@@ -85,8 +98,8 @@ def _note(  # type: ignore[no-untyped-def]
 
 @compiled
 def settle(  # type: ignore[no-untyped-def]
-    state, table, observation, reward, ended, instead, watch, row, spikes, rewards, potentials,
-    counts, extremes, probes,
+    state, table, observation, modulate, memory, constants, modulated, reward, ended, instead,
+    watch, row, spikes, rewards, potentials, counts, extremes, probes,
 ):  # fmt: skip
     """All that follows the answer of a world stepped by Python; see `run` for the arguments.
 
@@ -94,7 +107,11 @@ def settle(  # type: ignore[no-untyped-def]
     """
     if not (np.isfinite(observation).all() and np.isfinite(reward).all()):
         return False
-    _broadcast(state, table, row, reward, ended, instead)
+    if modulated.shape[0] > 0:
+        modulate(memory, constants, reward, ended, modulated)
+    else:
+        modulated = reward
+    _broadcast(state, table, row, reward, modulated, ended, instead)
     reinforce(state, table)
     if watch >= 0:
         _note(
@@ -106,12 +123,16 @@ def settle(  # type: ignore[no-untyped-def]
 
 @compiled
 def run(  # type: ignore[no-untyped-def]
-    n, start, answer, state, table, keys, low, high, world, data, observation, instead,
-    watch, spikes, rewards, potentials, worlds, counts, extremes, probes,
+    n, start, answer, state, table, keys, low, high, world, data, observation, gamma, fall,
+    modulate, memory, constants, modulated, instead, watch, spikes, rewards, potentials, worlds,
+    counts, extremes, probes,
 ):  # fmt: skip
     """`n` steps of a compiled world, the first of them number `start`.
 
-    `instead` (n or 0) is broadcast in place of the task's reward. `watch` is the lane that is
+    `gamma` (projections, lanes; 0 while frozen) falls over `fall` steps, unless that is infinite.
+    `modulate`, `memory` and `constants` are the rule's, see `rules.Rule`; `modulated` (lanes, or
+    0 for the paper's rule, which is not called) is room for what it makes of the reward. `instead`
+    (n or 0) is broadcast in its place. `watch` is the lane that is
     noted, or -1 for none. What is noted: `spikes` (n, neurons), `rewards` (n, 3: of the task, as
     broadcast, episode ended), if they have rows `potentials` (n, neurons) and `worlds`
     (n, numbers), and over all steps `counts` (neurons), `extremes` (2, neurons + probes: least
@@ -123,13 +144,18 @@ def run(  # type: ignore[no-untyped-def]
     action = np.empty((outputs, lanes))
     reward = np.empty(lanes)
     ended = np.empty(lanes)
+    sent = modulated if modulated.shape[0] > 0 else reward
     for t in range(n):
+        if fall < np.inf and (start + t) % FALL_EVERY == 0:
+            _fall(state, table, gamma, fall, start + t)
         respond(state, table, keys, start + t, low, high)
         for i in range(outputs):
             for lane in range(lanes):
                 action[i, lane] = state[first + i, lane]
         new_input = answer(world, action, data, keys, start + t, observation, reward, ended)
-        _broadcast(state, table, t, reward, ended, instead)
+        if modulated.shape[0] > 0:
+            modulate(memory, constants, reward, ended, modulated)
+        _broadcast(state, table, t, reward, sent, ended, instead)
         reinforce(state, table)
         if watch >= 0:
             _note(

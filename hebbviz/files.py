@@ -7,6 +7,7 @@ of the final name is always whole.
 from __future__ import annotations
 
 import json
+import math
 import os
 import uuid
 from collections.abc import Callable
@@ -17,14 +18,22 @@ from typing import Any
 import numpy as np
 
 from hebbviz.learner import Learner
+from hebbviz.limits import check_fall, fall_from_json, fall_to_json
 from hebbviz.moments import Keyframe
+from hebbviz.rules import Rule, make_rule
+from hebbviz.rules.paper import PAPER
 from hebbviz.task import Task
 from hebbviz.topology import Topology
 
-FORMAT = 1
+FORMAT = 2
+"""1, as the first versions wrote and read it, for the paper's rule with a γ that stays; 2 says
+the rule, and the steps over which γ falls.
+"""
 PROGRAM = "hebbviz learner"
 
 _ARRAYS = ("network", "world", "gamma")
+_MEMORY = "memory"
+"""An array more, of a rule that keeps something."""
 
 
 class BadFile(ValueError):
@@ -43,6 +52,8 @@ class Header:
     first_lane: int
     step: int
     frozen: bool
+    rule: Rule
+    fall: float
 
 
 def save(learner: Learner, path: str | Path, *, task_name: str | None = None) -> Path:
@@ -53,9 +64,10 @@ def save(learner: Learner, path: str | Path, *, task_name: str | None = None) ->
     """
     target = Path(path) if str(path).endswith(".npz") else Path(f"{path}.npz")
     keyframe = learner.keyframe()
+    is_first = (keyframe.rule, keyframe.fall) == (PAPER, math.inf)
     header = {
         "program": PROGRAM,
-        "format": FORMAT,
+        "format": 1 if is_first else FORMAT,
         "task": task_name or learner.task.name,
         "preset": learner.task.preset_name,
         "topology": learner.topology.to_json(),
@@ -65,7 +77,10 @@ def save(learner: Learner, path: str | Path, *, task_name: str | None = None) ->
         "step": keyframe.step,
         "frozen": keyframe.frozen,
     }
-    arrays = {name: getattr(keyframe, name) for name in _ARRAYS}
+    if not is_first:
+        header |= {"rule": str(keyframe.rule), "fall": fall_to_json(keyframe.fall)}
+    names = (*_ARRAYS, _MEMORY) if keyframe.rule.memory else _ARRAYS
+    arrays = {name: getattr(keyframe, name) for name in names}
     part = target.with_name(f".{target.name}.{uuid.uuid4().hex}.part")
     try:
         with part.open("xb") as file:
@@ -92,7 +107,11 @@ def load(path: str | Path, make_task: Callable[[str, str], Task]) -> Learner:
             task, topology=header.topology, seed=header.seed, lanes=header.lanes,
             first_lane=header.first_lane,
         )  # fmt: skip
-        learner.restore(Keyframe(header.step, frozen=header.frozen, **arrays))
+        learner.restore(
+            Keyframe(
+                header.step, frozen=header.frozen, rule=header.rule, fall=header.fall, **arrays
+            )
+        )  # fmt: skip
     except ValueError as error:
         raise BadFile(f"{path} does not fit task {header.task!r}: {error}") from error
     return learner
@@ -105,8 +124,10 @@ def _read(path: Path) -> tuple[Header, dict[str, Any]]:
                 raise BadFile(f"{path} is damaged")
             data = json.loads(str(file["header"]))
             _check_origin(path, data)
+            header = _header(path, data)
             arrays = {name: np.array(file[name], dtype=np.float64) for name in _ARRAYS}
-            header = _header(data)
+            kept = file[_MEMORY] if header.rule.memory else np.zeros((0, header.lanes))
+            arrays[_MEMORY] = np.array(kept, dtype=np.float64)
     except (OSError, BadFile):
         raise
     except Exception as error:  # a damaged file makes zipfile, numpy and json raise many kinds
@@ -126,7 +147,11 @@ def _check_origin(path: Path, data: Any) -> None:
         )
 
 
-def _header(data: dict[str, Any]) -> Header:
+def _header(path: Path, data: dict[str, Any]) -> Header:
+    try:
+        rule = make_rule(str(data.get("rule", PAPER)))
+    except ValueError as error:
+        raise BadFile(f"{path} was saved with another rule: {error}") from error
     return Header(
         task=str(data["task"]),
         preset=str(data["preset"]),
@@ -136,4 +161,6 @@ def _header(data: dict[str, Any]) -> Header:
         first_lane=int(data["first_lane"]),
         step=int(data["step"]),
         frozen=bool(data["frozen"]),
+        rule=rule,
+        fall=check_fall(fall_from_json(data.get("fall"))),
     )

@@ -1,11 +1,13 @@
 """A network, a task and the rule in closed loop. It knows no clock, no queue and no screen.
 
 The trajectory is a pure function of task, topology, parameters and seed, and of the commands given
-(`set_beta`, `set_gamma`, `freeze`, `give_reward`, `press`) with the steps they were given at.
+(`set_beta`, `set_gamma`, `set_fall`, `set_rule`, `freeze`, `give_reward`, `press`) with the steps
+they were given at.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -23,8 +25,17 @@ from hebbviz.chance import (
     uniforms,
 )
 from hebbviz.layout import Layout
-from hebbviz.limits import MOST_LANES, check_beta, check_gamma, check_reward, check_steps
+from hebbviz.limits import (
+    MOST_LANES,
+    check_beta,
+    check_fall,
+    check_gamma,
+    check_reward,
+    check_steps,
+)
 from hebbviz.moments import Block, Frame, Keyframe, Summary
+from hebbviz.rules import Rule, make_rule
+from hebbviz.rules.paper import PAPER
 from hebbviz.task import CompiledTask, Tally, Task
 from hebbviz.topology import Topology
 
@@ -64,9 +75,12 @@ class Learner:
 
     Parameters
     ----------
-    task : the world, at its preset; `beta` and `gamma` default to the preset's.
+    task : the world, at its preset; `beta`, `gamma`, `rule` and `fall` default to the preset's.
     hidden : sizes of the hidden layers, or `topology` for anything else; default the task's own.
-    seed : 0 to 2³² - 1. Lane k of a seed is the same run whatever lanes are beside it.
+    rule : what the reward is made into before it is sent to the synapses.
+    fall : T in steps, γ in force at step t being γ T/(T + t); infinity for a γ that stays.
+    seed : 0 to 2³² - 1. Lane k of a seed is the same run whatever lanes are beside it (unless the
+        rule lets lanes touch each other).
 
     Raises
     ------
@@ -84,6 +98,8 @@ class Learner:
         topology: Topology | None = None,
         beta: float | None = None,
         gamma: float | None = None,
+        rule: Rule | None = None,
+        fall: float | None = None,
         seed: int = 0,
         lanes: int = 1,
         first_lane: int = 0,
@@ -108,6 +124,8 @@ class Learner:
         self._frozen = False
         self.probes: tuple[int, ...] = ()
         self._data = np.array(task.data() if isinstance(task, CompiledTask) else [[0.0]])
+        self._fall = check_fall(task.preset.fall if fall is None else fall)
+        self.set_rule(make_rule(task.preset.rule) if rule is None else rule)
         self.set_beta(task.preset.beta if beta is None else beta)
         self.set_gamma(task.preset.gamma if gamma is None else gamma)
         self._start_weights()
@@ -160,14 +178,19 @@ class Learner:
     ) -> None:
         engine.run(
             steps, self.step, task.answer, self.network, self.layout.table, self._keys,
-            *self.topology.activity, self._world, self._data, self._observed, instead, watch,
-            *notes, self._counts, self._extremes, self._probe_rows,
+            *self.topology.activity, self._world, self._data, self._observed,
+            self._step_size, self._fall, self._modulate, self._memory, self._constants,
+            self._modulated, instead, watch, *notes, self._counts, self._extremes,
+            self._probe_rows,
         )  # fmt: skip
         self.step += steps
 
     def _step_python(self, row: int, watch: int, notes: _Notes, instead: Array) -> None:
         """One step of a world in Python; if the world fails, nothing has happened."""
+        if self.step % engine.FALL_EVERY == 0 and self._fall < math.inf:
+            self._put_gamma()
         np.copyto(self._before, self.network)
+        memory = self._memory.copy()
         rule.respond(
             self.network, self.layout.table, self._keys, self.step, *self.topology.activity
         )
@@ -176,14 +199,15 @@ class Learner:
             states = [self._answer(lane) for lane in range(self.lanes)]
             self._set_clamps(states)
             accepted = engine.settle(
-                self.network, self.layout.table, self._observed, self._reward, self._ended,
-                instead, watch, row, fired, rewards, potentials, self._counts, self._extremes,
-                self._probe_rows,
+                self.network, self.layout.table, self._observed, self._modulate, self._memory,
+                self._constants, self._modulated, self._reward, self._ended, instead, watch, row,
+                fired, rewards, potentials, self._counts, self._extremes, self._probe_rows,
             )  # fmt: skip
             if not accepted:
                 raise ValueError("an observation or a reward is not a finite number")
         except BaseException as error:
             np.copyto(self.network, self._before)
+            np.copyto(self._memory, memory)
             if not isinstance(error, Exception):  # Ctrl-C
                 raise
             raise _task_error(self.task, error) from error
@@ -236,12 +260,33 @@ class Learner:
     def set_gamma(self, gamma: float) -> None:
         """The step size γ. While learning is frozen it is only remembered."""
         self._gamma[:] = check_gamma(gamma)
-        self.freeze(self._frozen)
+        self._put_gamma()
+
+    def set_fall(self, fall: float) -> None:
+        """Let γ fall over T steps: in force at step t is γ/(1 + t/T), with t counted from the
+        start of the run and rounded down to a multiple of engine.FALL_EVERY. Infinity: γ stays.
+        """
+        self._fall = check_fall(fall)
+        self._put_gamma()
+
+    def set_rule(self, rule: Rule) -> None:
+        """Go on with another rule, or other parameters of it, its memory empty.
+
+        Raises ValueError if it needs more lanes, or cannot be compiled; nothing has happened then.
+        """
+        if self.lanes < rule.least_lanes:
+            raise ValueError(
+                f"rule {rule.name} needs {rule.least_lanes} lanes or more, this learner has "
+                f"{self.lanes}"
+            )
+        self._modulate, self._constants = rule.compiled(), rule.constants
+        self._modulated = np.zeros(0 if rule == PAPER else self.lanes)
+        self._rule, self._memory = rule, np.zeros((len(rule.memory), self.lanes))
 
     def freeze(self, frozen: bool) -> None:
         """Stop the weights (γ in force 0) or let them go again; traces go on either way."""
         self._frozen = bool(frozen)
-        self._section("gamma")[:] = 0.0 if frozen else self._gamma
+        self._put_gamma()
 
     def give_reward(self, reward: float) -> None:
         """Add to the reward of the next step, on top of what the task gives."""
@@ -295,8 +340,26 @@ class Learner:
 
     @property
     def gamma(self) -> float:
-        """The step size that is set, in force unless `frozen`."""
+        """The step size that is set, in force unless it falls or learning is `frozen`."""
         return float(self._gamma.flat[0])
+
+    @property
+    def gamma_in_force(self) -> float:
+        return float(self._section("gamma").flat[0])
+
+    @property
+    def fall(self) -> float:
+        """The steps over which γ falls, infinity if it stays."""
+        return self._fall
+
+    @property
+    def rule(self) -> Rule:
+        return self._rule
+
+    @property
+    def memory(self) -> Array:
+        """What the rule keeps, (rows of its memory, lanes)."""
+        return self._memory.copy()
 
     @property
     def frozen(self) -> bool:
@@ -360,7 +423,11 @@ class Learner:
             topology=self.topology,
             weight=weight[:, lane].copy(),
             trace=trace[:, lane].copy(),
+            step_size=self.gamma,
+            fall=self._fall,
             frozen=self._frozen,
+            rule=self._rule,
+            memory=self._memory[:, lane].copy(),
             world=self._lane_states()[lane].copy(),
             reward=(float(raw), float(broadcast)),
             tally=tally,
@@ -381,11 +448,12 @@ class Learner:
     def keyframe(self) -> Keyframe:
         """This moment, from which the run can be made again."""
         return Keyframe(
-            self.step, self.network.copy(), self.world, self._gamma.copy(), self._frozen
-        )
+            self.step, self.network.copy(), self.world, self._gamma.copy(), self._frozen,
+            self._rule, self._memory.copy(), self._fall,
+        )  # fmt: skip
 
     def restore(self, keyframe: Keyframe) -> None:
-        """Go to a moment of this learner, or of one of the same task and topology.
+        """Go to a moment of this learner, or of one of the same task and topology, with its rule.
 
         Raises ValueError if the keyframe's arrays do not fit.
         """
@@ -399,10 +467,19 @@ class Learner:
                 f"a keyframe of this task has a world of shape {self.world.shape}, "
                 f"got {keyframe.world.shape}"
             )
+        remembered = (len(keyframe.rule.memory), self.lanes)
+        if keyframe.memory.shape != remembered:
+            raise ValueError(
+                f"a keyframe of rule {keyframe.rule} has a memory of shape {remembered}, "
+                f"got {keyframe.memory.shape}"
+            )
+        self.set_rule(keyframe.rule)
+        np.copyto(self._memory, keyframe.memory)
         self.step = keyframe.step
         np.copyto(self.network, keyframe.network)
         np.copyto(self._gamma, keyframe.gamma)
-        self._frozen = keyframe.frozen
+        self._frozen, self._fall = keyframe.frozen, keyframe.fall
+        self._step_size = self._gamma * (not self._frozen)
         self._put_states([keyframe.world[:, k].copy() for k in range(self.lanes)])
         self._observed[:] = self._section("activity")[: self.topology.inputs]
         self._new_summary()
@@ -411,7 +488,8 @@ class Learner:
         """A second learner of the same making, at its start, with this one's lanes and seed."""
         return Learner(
             self.task if task is None else task, topology=self.topology, beta=self.beta,
-            gamma=self.gamma, seed=self.seed, lanes=self.lanes, first_lane=self.first_lane,
+            gamma=self.gamma, rule=self._rule, fall=self._fall, seed=self.seed, lanes=self.lanes,
+            first_lane=self.first_lane,
         )  # fmt: skip
 
     def frozen_copy(self, task: Task | None = None) -> Learner:
@@ -472,6 +550,12 @@ class Learner:
         first = self.topology.first_unit(self.topology.output)
         self._output = self.network[first : first + len(self.task.outputs)]
         rule.hold(self.network, self.layout.table, self._observed)
+
+    def _put_gamma(self) -> None:
+        """Put γ in force, as it is at this step."""
+        self._step_size = self._gamma * (not self._frozen)
+        since = self.step - self.step % engine.FALL_EVERY
+        self._section("gamma")[:] = self._step_size / (1.0 + since / self._fall)
 
     def _look(self, states: Sequence[Array]) -> Array:
         """What the network would see of these states, (inputs, lanes)."""

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 LARGEST_GAMMA = 1e3
+LARGEST_FALL = 1e15
 LARGEST_REWARD = 1e6
 MOST_LANES = 4096
 
@@ -25,6 +26,25 @@ def check_gamma(gamma: float) -> float:
             f"gamma (the step size) must be from 0 to {LARGEST_GAMMA:g}, got {gamma!r}"
         )
     return float(gamma)
+
+
+def check_fall(fall: float) -> float:
+    """The steps over which γ falls; raises ValueError unless a number from 1 on, or infinity."""
+    if fall != math.inf and not (_is_number(fall) and 1.0 <= fall <= LARGEST_FALL):
+        raise ValueError(
+            f"fall (the steps over which gamma falls) must be from 1 to {LARGEST_FALL:g}, or "
+            f"infinity (never), got {fall!r}"
+        )
+    return float(fall)
+
+
+def fall_to_json(fall: float) -> float | None:
+    """JSON has no infinity: a γ that stays falls over null."""
+    return None if math.isinf(fall) else fall
+
+
+def fall_from_json(said: float | None) -> float:
+    return math.inf if said is None else said
 
 
 def check_reward(reward: float) -> float:

@@ -7,6 +7,7 @@ raster. A `Keyframe` is a moment from which a run can be made again. All own the
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,6 +15,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from hebbviz.rules import Rule
+from hebbviz.rules.paper import PAPER
 from hebbviz.task import Tally
 from hebbviz.topology import Topology
 
@@ -22,18 +25,30 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Keyframe:
-    """A learner's whole state at a step: network (rows, lanes) and world (numbers, lanes)."""
+    """A learner's whole state at a step: network (rows, lanes) and world (numbers, lanes).
+
+    `gamma` (projections, lanes) is γ as it is set, `fall` the steps over which it falls (infinity:
+    it stays); `memory` (its rows, lanes) is what the `rule` keeps.
+    """
 
     step: int
     network: Array
     world: Array
     gamma: Array
     frozen: bool
+    rule: Rule
+    memory: Array
+    fall: float
 
     def digest(self) -> str:
         """SHA-256 of all of it, bit for bit, as 64 hexadecimal digits."""
-        digest = hashlib.sha256(f"{self.step} {self.frozen}".encode())
-        for array in (self.network, self.world, self.gamma):
+        said = f"{self.step} {self.frozen}"
+        arrays = [self.network, self.world, self.gamma]
+        if (self.rule, self.fall) != (PAPER, math.inf):  # which the first recordings do not name
+            said += f" {self.rule} {self.fall!r}"
+            arrays.append(self.memory)
+        digest = hashlib.sha256(said.encode())
+        for array in arrays:
             digest.update(f" {array.shape} ".encode())
             digest.update(array.astype("<f8").tobytes())
         return digest.hexdigest()
@@ -60,6 +75,12 @@ class Block:
     def end(self) -> int:
         """The step after the last."""
         return self.start + len(self.fired)
+
+    def events(self, rule: Rule) -> Array:
+        """What to look for rewards in, (n,): what was sent; of other rules than the paper's, which
+        may send something at every step, what the task gave.
+        """
+        return self.broadcast if rule == PAPER else self.reward
 
     def tail(self, steps: int) -> Block:
         """The last `steps` steps, or all if there are fewer."""
@@ -113,8 +134,9 @@ class Frame:
 
     `activity` and `before` (units,) are u of this step and of the one before, `potential`,
     `probability`, `draw`, `fired` (neurons,), `weight`, `trace` (synapses,), `beta` and
-    `gamma` (projections,; the γ in force, 0 while frozen), `world` the task's state, `reward` the
-    last step's (of the task, as broadcast), `tally` since the start.
+    `gamma` (projections,; the γ in force, 0 while frozen), `step_size` γ as it is set, `fall` the
+    steps over which it falls, `memory` what the rule keeps, `world` the task's state, `reward`
+    the last step's (of the task, as broadcast), `tally` since the start.
     """
 
     step: int
@@ -129,7 +151,11 @@ class Frame:
     trace: Array
     beta: Array
     gamma: Array
+    step_size: float
+    fall: float
     frozen: bool
+    rule: Rule
+    memory: Array
     world: Array
     reward: tuple[float, float]
     tally: Tally

@@ -8,6 +8,7 @@ page rewind. `tests/conformance.py` checks any task against this contract.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -43,15 +44,18 @@ class Output:
 
 @dataclass(frozen=True)
 class Preset:
-    """A named setting of a task: the learner's β and γ and what the task needs besides.
+    """A named setting of a task: the learner's β, γ and rule, and what the task needs besides.
 
-    `note` says in a sentence how it differs from the paper.
+    `note` says in a sentence how it differs from the paper. `rule` is as `rules.make_rule` reads
+    it; `fall` the steps over which γ falls.
     """
 
     beta: float
     gamma: float
     note: str
     options: Mapping[str, Any] = field(default_factory=dict)
+    rule: str = "paper"
+    fall: float = math.inf
 
 
 @dataclass(frozen=True)

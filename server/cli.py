@@ -22,7 +22,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from server.making import make_learner, saved_task, task_name
+from server.making import asked_rule, make_learner, saved_task, task_name
 from server.options import parse
 from server.terminal import (
     BAD_INPUT,
@@ -101,6 +101,7 @@ def replay(args: argparse.Namespace) -> int:
         from server.recording.reader import open_recording
         from server.recording.recordings import Options
 
+        asked_rule(args)
         recording = open_recording(args.file)
         header = recording.header
         if recording.notice:
@@ -159,6 +160,7 @@ def inspect(args: argparse.Namespace) -> int:
     from server.recording.reader import open_recording
 
     with user_can_mend(args):
+        asked_rule(args)
         recording = open_recording(args.file)
     found = figures(recording)
     say(json.dumps(found, allow_nan=False) if args.json else describe(found))
@@ -171,6 +173,7 @@ def export(args: argparse.Namespace) -> int:
     from server.recording.reader import open_recording
 
     with user_can_mend(args):
+        asked_rule(args)
         recording = open_recording(args.file)
         if recording.notice:
             tell(recording.notice)

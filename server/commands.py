@@ -12,7 +12,8 @@ import math
 from dataclasses import dataclass
 
 from hebbviz.learner import Learner
-from hebbviz.limits import check_beta, check_gamma, check_reward
+from hebbviz.limits import check_beta, check_fall, check_gamma, check_reward
+from hebbviz.rules import make_rule
 
 LARGEST_SPEED = 1e9
 REALTIME = "realtime"
@@ -62,6 +63,38 @@ class SetGamma:
 
 
 @dataclass(frozen=True)
+class SetFall:
+    """Let γ fall over so many steps; infinity: let it stay."""
+
+    fall: float
+
+    def __post_init__(self) -> None:
+        check_fall(self.fall)
+
+    def apply(self, learner: Learner) -> None:
+        learner.set_fall(self.fall)
+
+    def __str__(self) -> str:
+        return "γ stays" if math.isinf(self.fall) else f"γ falls over {self.fall:.6g} steps"
+
+
+@dataclass(frozen=True)
+class SetRule:
+    """Go on with another rule, or other parameters of it, as `rules.make_rule` reads them."""
+
+    rule: str
+
+    def __post_init__(self) -> None:
+        make_rule(self.rule)
+
+    def apply(self, learner: Learner) -> None:
+        learner.set_rule(make_rule(self.rule))
+
+    def __str__(self) -> str:
+        return f"rule {self.rule}"
+
+
+@dataclass(frozen=True)
 class Freeze:
     frozen: bool
 
@@ -97,7 +130,7 @@ class Press:
         return self.control.lower()
 
 
-Change = SetBeta | SetGamma | Freeze | GiveReward | Press
+Change = SetBeta | SetGamma | SetFall | SetRule | Freeze | GiveReward | Press
 """A command that changes the trajectory of a run."""
 
 
@@ -129,7 +162,7 @@ class SetSpeed:
 
 @dataclass(frozen=True)
 class Reset:
-    """Start again with the set β and γ, from the same seed or from another."""
+    """Start again with the set β, γ and rule, from the same seed or from another."""
 
     seed: int | None = None
 

@@ -33,6 +33,7 @@ from server.commands import (
     Undo,
 )
 from server.picture import Picture
+from server.rule_controls import RuleControls
 from server.widgets import Widgets, assign
 from sims import TASKS
 
@@ -57,8 +58,10 @@ class Controls:
         self._run_folder = gui.add_folder("Run")
         with self._run_folder:
             self._build_run()
-        with gui.add_folder("Learning"):
+        learning = gui.add_folder("Learning")
+        with learning:
             self._build_learning()
+        self._rule = RuleControls(widgets, learning)
         self._task_folder = gui.add_folder("By hand")
         with self._task_folder:
             self._build_reward()
@@ -258,6 +261,7 @@ class Controls:
         log = min(GREATEST_GAMMA, math.log10(max(gamma, 10.0**LEAST_GAMMA)))
         self._ui.put(self.step_size, round(log, 2))
         self._ui.put(self.frozen, frozen)
+        self._rule.follow(picture)
 
     # Small things
 
@@ -281,8 +285,7 @@ def _in_force(picture: Picture) -> tuple[float, float, bool]:
     if picture.past is None:
         return picture.beta, picture.gamma, picture.frozen
     shown = picture.shown
-    gamma = picture.gamma if shown.frozen else float(shown.gamma[0])
-    return float(shown.beta[0]), gamma, shown.frozen
+    return float(shown.beta[0]), shown.step_size, shown.frozen
 
 
 def _hidden(picture: Picture) -> list[int]:

@@ -40,10 +40,7 @@ class Evaluator:
 
     def start(self, learner: Learner, task_name: str) -> None:
         """Evaluate a copy of this learner as it is now; only while `is_free`."""
-        copy = Learner(
-            self._make_task(task_name, learner.task.preset_name), topology=learner.topology,
-            beta=learner.beta, gamma=learner.gamma, seed=learner.seed, lanes=learner.lanes,
-        )  # fmt: skip
+        copy = learner.twin(self._make_task(task_name, learner.task.preset_name))
         copy.restore(learner.keyframe())
         self._thread = threading.Thread(target=self._evaluate, args=(copy, self._run), daemon=True)
         self._thread.start()

@@ -92,7 +92,7 @@ def _donor(run: Run) -> Learner:
     """The same learner going on with other random numbers, whose rewards are taken."""
     learner = run.learner
     donor = Learner(
-        learner.task, topology=learner.topology, beta=learner.beta, gamma=learner.gamma,
+        learner.task, topology=learner.topology, rule=learner.rule,
         seed=(learner.seed + 1) % LARGEST_SEED, lanes=learner.lanes,
         first_lane=learner.first_lane,
     )  # fmt: skip

@@ -37,7 +37,8 @@ def raster(
 ) -> Pixels:
     """The spikes of the latest steps, one row a neuron, newest at the right; (height, WIDTH, 3).
 
-    Groups differ in colour; a row above shows rewards, and the steps of `changes`.
+    Groups differ in colour; a row above shows what was sent as reward, the brighter the more, and
+    the steps of `changes`.
     """
     rows = topology.neurons
     row = max(2, min(RASTER_ROW, 150 // rows))
@@ -51,8 +52,9 @@ def raster(
         )
         changed = np.isin(block.start + np.arange(len(block.fired)), changes)
         cells[0, seen][changed] = theme.ink
-        cells[0, seen][block.broadcast > 0] = palette.REWARD
-        cells[0, seen][block.broadcast < 0] = palette.PUNISHMENT
+        sent = block.broadcast / max(np.abs(block.broadcast).max(initial=0.0), 1e-300)
+        shades = palette.signed(sent, palette.REWARD, palette.PUNISHMENT, theme.zero)
+        cells[0, seen][sent != 0.0] = shades[sent != 0.0]
     pixels = np.repeat(np.repeat(cells, row, axis=0), WIDTH // RASTER_STEPS, axis=1)
     pixels[row::row] = theme.background
     return pixels

@@ -12,6 +12,7 @@ from server.terminal import InputError
 
 if TYPE_CHECKING:
     from hebbviz.learner import Learner
+    from hebbviz.rules import Rule
     from hebbviz.task import Task
     from server.run import MakeTask
 
@@ -23,19 +24,31 @@ def make_learner(args: argparse.Namespace) -> Learner:
     TaskError for what the user can mend.
     """
     from hebbviz.learner import Learner
-    from hebbviz.limits import check_beta, check_gamma
+    from hebbviz.limits import check_beta, check_fall, check_gamma
     from sims.loading import make_task
 
-    for check, value in ((check_beta, args.beta), (check_gamma, args.gamma)):
+    given = (check_beta, args.beta), (check_gamma, args.gamma), (check_fall, args.fall)
+    for check, value in given:
         if value is not None:
             check(value)
+    rule = asked_rule(args)
     if args.load is not None:
-        return _loaded(args)
+        return _loaded(args, rule)
     task = make_task(args.task or DEFAULT_TASK, args.preset)
-    return Learner(task, hidden=args.hidden, beta=args.beta, gamma=args.gamma, seed=args.seed or 0)
+    return Learner(
+        task, hidden=args.hidden, beta=args.beta, gamma=args.gamma, rule=rule, fall=args.fall,
+        seed=args.seed or 0, lanes=1 if rule is None else rule.least_lanes,
+    )  # fmt: skip
 
 
-def _loaded(args: argparse.Namespace) -> Learner:
+def asked_rule(args: argparse.Namespace) -> Rule | None:
+    """The rule that was asked for; one of a user's own file is known by its name from then on."""
+    from sims.loading import load_rule
+
+    return None if args.rule is None else load_rule(args.rule)
+
+
+def _loaded(args: argparse.Namespace, rule: Rule | None) -> Learner:
     from hebbviz import files
 
     learner = files.load(
@@ -52,6 +65,11 @@ def _loaded(args: argparse.Namespace) -> Learner:
         learner.set_beta(args.beta)
     if args.gamma is not None:
         learner.set_gamma(args.gamma)
+    if args.fall is not None:
+        learner.set_fall(args.fall)
+    only_named = type(rule) is type(learner.rule) and "=" not in args.rule
+    if rule not in (None, learner.rule) and not only_named:
+        learner.set_rule(rule)
     return learner
 
 

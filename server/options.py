@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 MOST_STEPS = 10**12
 
-_NUMERIC = ("--beta", "--gamma", "--seed", "--speed", "--port", "--steps", "--stream")
+_NUMERIC = ("--beta", "--gamma", "--fall", "--seed", "--speed", "--port", "--steps", "--stream")
 
 EPILOG = "The rule, the presets and how to write a task of your own are in the README."
 
@@ -132,6 +132,16 @@ def _add_learner(parser: argparse.ArgumentParser) -> None:
         help="step size, 0 or more (default the preset's)",
     )  # fmt: skip
     parser.add_argument(
+        "--rule", metavar="R",
+        help="paper, baseline, yoked, or your own as path.py:Name; with parameters as "
+        "baseline:time=1000 (default the preset's)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--fall", type=_fall, metavar="STEPS",
+        help="gamma falls over so many steps: at step t it is gamma STEPS/(STEPS + t); never: it "
+        "stays (default the preset's)",
+    )  # fmt: skip
+    parser.add_argument(
         "--seed", type=_whole("seed", 0, 2**32 - 1), metavar="N", help="random seed (default 0)"
     )
     parser.add_argument(
@@ -165,6 +175,12 @@ def _number(name: str) -> Callable[[str], float]:
     return parse
 
 
+def _fall(text: str) -> float:
+    with contextlib.suppress(ValueError):
+        return math.inf if text == "never" else float(text)
+    raise argparse.ArgumentTypeError(f"fall must be a number of steps or never, got {text!r}")
+
+
 def _speed(text: str) -> Speed:
     if text in ("realtime", "max"):
         return text
@@ -196,6 +212,7 @@ def _add_replay(commands: Any) -> None:
     )
     _add_recorded(replay)
     _add_own_task(replay)
+    _add_own_rule(replay)
     _add_page(replay)
 
 
@@ -224,6 +241,7 @@ def _add_inspect(commands: Any) -> None:
         allow_abbrev=False,
     )
     _add_recorded(inspect)
+    _add_own_rule(inspect)
     inspect.add_argument("--json", action="store_true", help="say it as one line of JSON")
 
 
@@ -236,6 +254,7 @@ def _add_export(commands: Any) -> None:
     )
     _add_recorded(export)
     _add_own_task(export)
+    _add_own_rule(export)
     export.add_argument(
         "--out", type=Path, required=True, metavar="FOLDER", help="folder to write into"
     )
@@ -253,6 +272,13 @@ def _add_own_task(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--task", metavar="T",
         help="where a task of yours was recorded: its file again, as path.py:Name",
+    )  # fmt: skip
+
+
+def _add_own_rule(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--rule", metavar="R",
+        help="where a rule of yours was recorded: its file again, as path.py:Name",
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from hebbviz.rules import Rule
 from hebbviz.task import Task
 from hebbviz.topology import Topology
 from server import palette, words
@@ -23,6 +24,8 @@ Array = NDArray[np.float64]
 
 OTHER: Rgb = palette.SERIES[3]
 """Of the other copy of a fork."""
+SERIES_KEPT = palette.SERIES[2:]
+"""Of what the rule keeps, beside the colours of the rewards."""
 MOST_CURVES = 8
 """With more neurons than this, charts show groups."""
 
@@ -41,7 +44,7 @@ class Panels:
         self._turn = 0
         self._tabs = tabs
         self._build_learning(gui, picture)
-        self._build_reward(gui)
+        self._build_reward(gui, picture.live.rule)
         self._build_now(gui)
         with tabs["synapses"]:
             self._build_synapses(gui)
@@ -49,6 +52,7 @@ class Panels:
             self._draw_learning, self._draw_raster, self._draw_reward, self._draw_potentials,
             self._draw_rates, self._draw_maps,
             *((self._draw_synapse,) if self._synapse_chart is not None else ()),
+            *((self._draw_kept,) if self._kept_chart is not None else ()),
         )  # fmt: skip
 
     def remove(self) -> None:
@@ -78,7 +82,7 @@ class Panels:
         with self._tabs["run"]:
             self._learning_words = self._hold(gui.add_markdown(""))
 
-    def _build_reward(self, gui: viser.GuiApi) -> None:
+    def _build_reward(self, gui: viser.GuiApi, rule: Rule) -> None:
         self._reward = self._hold(
             Chart(
                 gui, self._tabs["reward"], "average reward per step",
@@ -86,6 +90,11 @@ class Panels:
                 dashed=("as broadcast",),
             )
         )  # fmt: skip
+        self._rule, self._kept_chart = type(rule), None
+        if rule.memory:
+            series = {r.name: SERIES_KEPT[k % len(SERIES_KEPT)] for k, r in enumerate(rule.memory)}
+            title = f"what rule {rule.name} keeps ({rule.memory[0].unit})"
+            self._kept_chart = self._hold(Chart(gui, self._tabs["reward"], title, series))
         self._rate_chart = self._hold(
             Chart(
                 gui,
@@ -179,6 +188,17 @@ class Panels:
             other = _since(picture.other)
             points |= dict.fromkeys(more, (other.end, other.reward / other.steps))
         self._reward.draw(points, _marks(picture), cursor=_cursor(picture), more=more)
+
+    def _draw_kept(self, picture: Picture) -> None:
+        """The rule's memory in the latest pictures."""
+        trail = moved(picture.live_trail if picture.past is None else picture.shown_trail)
+        frames = [f for f in trail if type(f.rule) is self._rule]
+        if self._kept_chart is not None and len(frames) > 1:
+            x = np.array([f.step for f in frames], dtype=np.float64)
+            kept = np.array([f.memory for f in frames]).T
+            names = (reading.name for reading in self._rule.memory)
+            points = {name: (x, row) for name, row in zip(names, kept, strict=True)}
+            self._kept_chart.draw(points, _marks(picture))
 
     def _draw_rates(self, picture: Picture) -> None:
         frames = moved(picture.live_trail if picture.past is None else picture.shown_trail)

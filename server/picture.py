@@ -51,6 +51,7 @@ class Picture:
     seed: int
     beta: float
     gamma: float
+    lanes: int
     frozen: bool
     live: Frame
     shown: Frame

@@ -113,8 +113,9 @@ class Player:
         usual: float | None = None
         while replay.learner.step < self.last and time.monotonic() < until:
             block = replay.advance(LONGEST_STRETCH)
-            usual = float(np.median(block.broadcast)) if usual is None else usual
-            unusual = np.flatnonzero((block.broadcast != usual) | block.ended)
+            rewards = block.events(replay.learner.rule)
+            usual = float(np.median(rewards)) if usual is None else usual
+            unusual = np.flatnonzero((rewards != usual) | block.ended)
             if len(unusual):
                 return int(block.start + unusual[0] + 1)
         return None

@@ -137,11 +137,11 @@ class Run:
             follower.change(self, self.log[-1])
 
     def reset(self, command: Reset) -> None:
-        """The same task and network from step 0, with the β and γ that are set."""
+        """The same task and network from step 0, with the β, γ and rule that are set."""
         old = self.learner
         fresh = Learner(
-            old.task, topology=old.topology, beta=old.beta, gamma=old.gamma,
-            seed=old.seed if command.seed is None else command.seed, lanes=old.lanes,
+            old.task, topology=old.topology, beta=old.beta, gamma=old.gamma, rule=old.rule,
+            fall=old.fall, seed=old.seed if command.seed is None else command.seed, lanes=old.lanes,
             first_lane=old.first_lane,
         )  # fmt: skip
         fresh.freeze(old.frozen)
@@ -151,7 +151,7 @@ class Run:
         self._begin(fresh, self.task_name, ghost if len(ghost.end) else self.ghost)
 
     def choose(self, command: Choose) -> None:
-        """Another task, preset or network, with the preset's β and γ."""
+        """Another task, preset or network, with the preset's β, γ and rule."""
         task = self.make_task(command.task, command.preset)
         fresh = Learner(task, hidden=command.hidden, seed=self.learner.seed)
         sizes = "" if command.hidden is None else f", hidden {','.join(map(str, command.hidden))}"

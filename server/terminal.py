@@ -38,10 +38,11 @@ def user_can_mend(args: argparse.Namespace) -> Iterator[None]:
     except (ValueError, TaskError) as error:
         raise InputError(f"{error}{place(args, error)}") from error
     except (Exception, SystemExit) as error:
-        if _user_file(args) is None:
+        own = _own(args)
+        if not own:
             raise
         what = f"{type(error).__name__}: {error}"
-        raise InputError(f"task {args.task}: {what}{place(args, error)}") from error
+        raise InputError(f"{' or '.join(own)}: {what}{place(args, error)}") from error
 
 
 def reason(error: OSError) -> str:
@@ -50,24 +51,26 @@ def reason(error: OSError) -> str:
 
 def place(args: argparse.Namespace, error: BaseException) -> str:
     """Where in the user's own file an error came from, as '(my.py, line 12)', or nothing."""
-    file = _user_file(args)
-    if file is None:
-        return ""
     causes = [error]
     while causes[-1].__cause__ is not None:
         causes.append(causes[-1].__cause__)
     for cause in reversed(causes):
         frames = traceback.extract_tb(cause.__traceback__)
-        lines = [f.lineno for f in frames if Path(f.filename).resolve() == file]
-        if lines:
-            return f" ({file.name}, line {lines[-1]})"
+        for file in _own(args).values():
+            lines = [f.lineno for f in frames if Path(f.filename).resolve() == file]
+            if lines:
+                return f" ({file.name}, line {lines[-1]})"
     return ""
 
 
-def _user_file(args: argparse.Namespace) -> Path | None:
-    """The user's own file, if the task is in one."""
-    file, _, _ = (getattr(args, "task", None) or "").rpartition(":")
-    return Path(file).resolve() if file.endswith(".py") else None
+def _own(args: argparse.Namespace) -> dict[str, Path]:
+    """The user's own files, by what they were given as."""
+    given = {what: getattr(args, what, None) or "" for what in ("task", "rule")}
+    return {
+        f"{what} {spec}": Path(f"{spec.partition('.py:')[0]}.py").resolve()
+        for what, spec in given.items()
+        if ".py:" in spec
+    }
 
 
 def fail(code: int, message: str) -> int:

@@ -15,6 +15,7 @@ from tqdm import tqdm  # type: ignore[import-untyped]
 
 import hebbviz
 from hebbviz.learner import TaskError
+from hebbviz.rules.paper import PAPER
 from server.making import maker
 from server.recording.recordings import Options, Recordings
 from server.recording.status import Status
@@ -221,6 +222,9 @@ def figures_of(learner: Learner, training: Training, task_name: str) -> Figures:
         "network": learner.topology.describe(),
         "beta": learner.beta,
         "gamma": learner.gamma,
+        "rule": str(learner.rule),
+        "fall": _finite(learner.fall),
+        "gamma_in_force": learner.gamma_in_force,
         "frozen": learner.frozen,
         "seed": learner.seed,
         "steps": steps,
@@ -243,6 +247,8 @@ def describe(figures: Figures, own: Figures) -> str:
     lines = [
         f"{figures['task']} {figures['preset']}, {figures['network']}, seed {figures['seed']}, "
         f"β {figures['beta']:.6g}, γ {figures['gamma']:.3g}"
+        + ("" if figures["fall"] is None else f" falling over {figures['fall']:.6g} steps")
+        + ("" if figures["rule"] == PAPER.name else f", rule {figures['rule']}")
         + (", learning frozen" if figures["frozen"] else ""),
         f"{figures['steps']:,} steps in {figures['seconds']:.2f} s"
         + (f", {figures['steps_per_second']:,.0f} a second" if figures["steps"] else "")

@@ -73,7 +73,7 @@ class Watch:
         """Keep the moment at which a block of the run began; look for rewards in the block."""
         if self._beginning is None:
             self._beginning = moment
-        rewarded = np.flatnonzero(block.broadcast)
+        rewarded = np.flatnonzero(block.events(moment.keyframe.rule))
         if len(rewarded):
             step = block.start + int(rewarded[-1])
             before = [m for m in (*self._moments, moment) if m.step <= max(0, step - LEAD)]

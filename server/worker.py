@@ -35,8 +35,10 @@ from server.commands import (
     Seek,
     SeekEvent,
     SetBeta,
+    SetFall,
     SetGamma,
     SetLoop,
+    SetRule,
     SetSpeed,
     SetWatch,
     SetWatchSpeed,
@@ -244,7 +246,7 @@ class Worker(threading.Thread):
 
     def _carry_out(self, command: Command) -> None:
         match command:
-            case SetBeta() | SetGamma() | Freeze() | GiveReward() | Press():
+            case SetBeta() | SetGamma() | SetFall() | SetRule() | Freeze() | GiveReward() | Press():
                 self._change(command)
             case Pause() | StepOnce() | SetSpeed():
                 self._steer(command)
@@ -456,6 +458,7 @@ class Worker(threading.Thread):
             seed=learner.seed,
             beta=learner.beta,
             gamma=learner.gamma,
+            lanes=learner.lanes,
             frozen=learner.frozen,
             live=live,
             shown=shown,

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hebbviz.chance import FIRST_EPISODE, NEXT_EPISODE, Draws
 from hebbviz.learner import Learner
+from hebbviz.rules import Rule, make_rule
 from hebbviz.task import CompiledTask, Input, Output, Pose, Preset, Task
 
 Array = NDArray[np.float64]
@@ -257,6 +258,33 @@ def check_compiled(make_task: MakeTask) -> None:
     assert np.array_equal(blocks[0].ended, blocks[1].ended)
 
 
+def check_rule(rule: Rule, make_task: MakeTask) -> None:
+    """Raise AssertionError unless a rule keeps to the contract of `hebbviz.rules` in a task."""
+    lanes, steps = max(2, rule.least_lanes), 600
+    whole, cut = (Learner(make_task(), rule=rule, lanes=lanes, seed=3) for _ in range(2))
+    block = whole.advance(steps)
+    assert np.isfinite(block.broadcast).all()
+    assert np.isfinite(whole.memory).all()
+    assert whole.memory.shape == (len(rule.memory), lanes)
+    cut.advance(steps // 3)
+    cut.frame()
+    moment = cut.keyframe()
+    cut.advance(steps - cut.step)
+    assert same_learner(whole, cut), "a run depends on how it was cut"
+    other = Learner(make_task(), lanes=lanes, seed=3)
+    other.restore(moment)
+    assert other.rule == rule, "a moment brings its rule"
+    other.skip(steps - other.step)
+    assert same_learner(whole, other), "a run goes on differently from a keyframe"
+    if rule.least_lanes == 1:
+        alone = Learner(make_task(), rule=rule, seed=3, first_lane=1)
+        alone.advance(steps)
+        assert np.array_equal(alone.network[:, 0], whole.network[:, 1], equal_nan=True)
+        assert np.array_equal(alone.memory[:, 0], whole.memory[:, 1])
+    assert make_rule(str(rule)) == rule, "its text makes it again"
+    assert whole.frame().memory.shape == (len(rule.memory),)
+
+
 class Interpreted(Task):
     """A compiled task with its methods alone."""
 
@@ -291,6 +319,8 @@ def same_learner(a: Learner, b: Learner) -> bool:
     return (
         a.step == b.step
         and a.frozen == b.frozen
+        and (a.gamma, a.fall) == (b.gamma, b.fall)
+        and np.array_equal(a.memory, b.memory)
         and np.array_equal(a.network, b.network, equal_nan=True)
         and np.array_equal(a.world, b.world, equal_nan=True)
         and all(a.tally(k) == b.tally(k) for k in range(a.lanes))

@@ -34,6 +34,8 @@ from raw_client import RawClient, wait_until
 from viser.transforms import SO3
 
 from hebbviz.learner import Learner
+from hebbviz.rules.baseline import Baseline
+from hebbviz.rules.paper import PAPER
 from server.app import Site
 from server.commands import Choose, Pause, Reset, SetBeta, SetSpeed, SetWatch
 from server.look import network_at, place
@@ -452,3 +454,27 @@ def test_the_page_says_that_the_server_is_gone(browser: Browser) -> None:
             page.context.close()
         finally:
             server.kill()
+
+
+def test_the_rule_is_chosen_and_its_baseline_shown(page: Page, live: Live) -> None:
+    choose(page, "rule", "baseline")
+    eventually(page, lambda: live.picture.live.rule == Baseline())
+    page.get_by_text("the reward baseline").first.wait_for()
+    typed = field(page, "time (steps)")
+    typed.fill("250")
+    typed.press("Enter")
+    eventually(page, lambda: live.picture.live.rule == Baseline(time=250.0))
+    typed = field(page, "gamma falls over")
+    typed.fill("2e4")
+    typed.press("Enter")
+    eventually(page, lambda: live.picture.live.fall == 2e4)
+    page.get_by_text(re.compile("γ in force")).first.wait_for()
+    page.get_by_role("tab", name="Reward, rates").click()
+    page.get_by_text("what rule baseline keeps").first.wait_for()
+    for _ in range(3):
+        before = live.picture.run_number
+        press(page, "Undo")
+        eventually(page, lambda n=before: live.picture.run_number > n)
+    eventually(page, lambda: (live.picture.live.rule, live.picture.live.fall) == (PAPER, math.inf))
+    page.get_by_text("what rule baseline keeps").first.wait_for(state="detached")
+    page.get_by_role("tab", name="Learning").click()

@@ -138,6 +138,13 @@ BAD: dict[str, str] = {
     "--beta nan": "beta must be a finite number, got 'nan'",
     "--gamma -1e-3": "gamma (the step size) must be from 0",
     "--gamma -inf": "gamma must be a finite number, got '-inf'",
+    "--rule nope": "there is no rule 'nope'; choose from paper, baseline, yoked",
+    "--rule baseline:time=0": "rule baseline: time must be from 1 to 1e+12, got 0.0",
+    "--rule baseline:tau=9": "rule baseline has no parameter 'tau'; it has time",
+    "--rule nowhere.py:Mine": "rule nowhere.py:Mine: there is no file nowhere.py",
+    "--fall 0": "fall (the steps over which gamma falls) must be from 1",
+    "--fall soon": "fall must be a number of steps or never, got 'soon'",
+    "train --steps 5 --task sonar --rule yoked --record {}/yoked.rrd": "holds one lane, got 2",
     "--seed -1": "seed must be a whole number from 0 to 4294967295, got '-1'",
     "--seed 4294967296": "seed must be",
     "--seed 1.5": "seed must be",
@@ -237,6 +244,8 @@ def test_help_is_quick_and_tells_every_option(arguments: list[str]) -> None:
             "--preset",
             "--beta",
             "--gamma",
+            "--rule",
+            "--fall",
             "--seed",
             "--hidden",
             "--speed",
@@ -365,6 +374,22 @@ def test_load_takes_new_parameters_and_repeated_ones(
         "--task", "pendulum", "--preset", "raw", "--seed", 3, "--hidden", 4,
     )  # fmt: skip
     assert (figures["beta"], figures["gamma"], figures["preset"]) == (0.25, 0.0, "raw")
+
+
+def test_the_rule_goes_on_and_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Loaded with its rule as it was, with another where that is asked for."""
+    saved = tmp_path / "based.npz"
+    given = "--task", "sonar", "--rule", "baseline:time=50", "--fall", 2000
+    whole = trained(capsys, *given, "--steps", 700)
+    half = trained(capsys, *given, "--steps", 400, "--save", saved)
+    rest = trained(capsys, "--load", saved, "--rule", "baseline", "--steps", 300)
+    for figures in (whole, half, rest):
+        assert (figures["rule"], figures["fall"]) == ("baseline:time=50", 2000.0)
+    told = ("total_steps", "gamma_in_force", "test_error", "training_error")
+    assert [rest[name] for name in told] == [whole[name] for name in told]
+    other = trained(capsys, "--load", saved, "--rule", "paper", "--fall", "never", "--steps", 9)
+    assert (other["rule"], other["fall"]) == ("paper", None)
+    assert other["gamma_in_force"] == other["gamma"]
 
 
 def test_results_of_a_users_task_are_strict_json(

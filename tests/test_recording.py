@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +23,9 @@ from server.commands import (
     Press,
     Reset,
     SetBeta,
+    SetFall,
     SetGamma,
+    SetRule,
 )
 from server.recording.export import export_steps, export_timelines
 from server.recording.header import Header, change_from_json, change_to_json
@@ -338,7 +341,16 @@ def test_a_leap_in_time_begins_another_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [SetBeta(0.25), SetGamma(1e-3), Freeze(frozen=True), GiveReward(-2.0), Press("Stop playing")],
+    [
+        SetBeta(0.25),
+        SetGamma(1e-3),
+        Freeze(frozen=True),
+        GiveReward(-2.0),
+        Press("Stop playing"),
+        SetRule("baseline:time=20"),
+        SetFall(1e5),
+        SetFall(math.inf),
+    ],
 )
 def test_changes_are_written_down_and_read(change: Change) -> None:
     logged = Logged(12, change)
@@ -352,11 +364,12 @@ def test_changes_are_written_down_and_read(change: Change) -> None:
         {"step": -1, "kind": "Freeze", "frozen": True}, {"kind": "Freeze", "frozen": True}, [1, 2],
         {"step": 1, "kind": "SetGamma", "gamma": "0.1"}, {"step": 1, "kind": "SetBeta", "x": 1},
         {"step": 1.5, "kind": "SetBeta", "beta": 0.5}, {"step": 1, "kind": "Freeze", "frozen": 1},
-        {"step": 1, "kind": "Press", "control": 5},
+        {"step": 1, "kind": "Press", "control": 5}, {"step": 1, "kind": "SetFall", "fall": 0},
+        {"step": 1, "kind": "SetRule", "rule": "nothing"}, {"step": 1, "kind": "SetRule"},
     ],
 )  # fmt: skip
 def test_what_is_no_change_is_refused(said: object) -> None:
-    with pytest.raises(ValueError, match=r"change|beta|gamma|frozen|control|step"):
+    with pytest.raises(ValueError, match=r"change|beta|gamma|frozen|control|step|rule"):
         change_from_json(said)
 
 

@@ -296,7 +296,8 @@ def test_the_embedded_views_show_every_tree_of_the_schema(
     curve = log_curve(task.measure) if task.measure.logarithmic else f"learning/{task.measure.key}"
     expected = {
         "/scene/**", "/spikes/**", "/potentials/**", "/rates/**", "/curves/weights/**",
-        "/reward/raw", "/reward/broadcast", "/reward/average", "/parameters/beta",
+        "/reward/raw", "/reward/broadcast", "/reward/average", "/reward/kept/**",
+        "/parameters/beta",
         "/parameters/gamma", "/events/**", "/phase/**", f"/{curve}",
         *(f"/world/{entity(reading.name)}" for reading in task.readings),
         *(f"/{t}/{entity(p.name)}/**" for t in ("weights", "traces") for p in topology.projections),

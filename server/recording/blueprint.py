@@ -192,7 +192,7 @@ def whole_run(task: Task, topology: Topology) -> rrb.Vertical:
         plot("Trace decay β", "/parameters", only=["beta"], legend=False),
         plot("Step size γ", "/parameters", only=["gamma"], legend=False),
     )
-    average = plot("Average reward per step", "/reward", only=["average"], legend=False)
+    average = plot("Average reward per step", "/reward", only=["average", "kept/**"], legend=False)
     phases = rrb.StateTimelineView(
         origin="/phase", name="Learning or frozen", time_view=rrb.TimeAxis(view_range=ALL)
     )

@@ -11,16 +11,33 @@ from importlib.metadata import version
 from typing import Any
 
 import hebbviz
+from hebbviz.limits import fall_from_json, fall_to_json
+from hebbviz.rules import Rule, make_rule
+from hebbviz.rules.paper import PAPER
 from hebbviz.task import Tally
 from hebbviz.topology import Topology
-from server.commands import Change, Freeze, GiveReward, Logged, Press, SetBeta, SetGamma
+from server.commands import (
+    Change,
+    Freeze,
+    GiveReward,
+    Logged,
+    Press,
+    SetBeta,
+    SetFall,
+    SetGamma,
+    SetRule,
+)
 
 PROGRAM = "hebbviz recording"
-FORMAT = 1
-RULE = "Bartlett and Baxter 1999"
+FORMAT = 2
+"""2 says the rule, in the header and of every keyframe; 1 knew the paper's rule alone."""
 VERSIONS_OF = ("numpy", "numba", "pymunk", "rerun-sdk")
 
-CHANGES = {kind.__name__: kind for kind in (SetBeta, SetGamma, Freeze, GiveReward, Press)}
+CHANGES = {
+    kind.__name__: kind for kind in (SetBeta, SetGamma, SetFall, SetRule, Freeze, GiveReward, Press)
+}
+_TYPES = {"frozen": (bool,), "control": (str,), "rule": (str,)}
+"""Of the fields of changes; of all others a number."""
 
 
 class BadRecording(ValueError):
@@ -33,7 +50,8 @@ class Header:
 
     `log` holds the changes made before, `edges` the totals at the windows' edges of the learning
     curve so far, `window` their length in steps. `kept_window` is the length of the stretches of
-    which every step is kept, in steps; `budget` is in bytes a minute.
+    which every step is kept, in steps; `budget` is in bytes a minute. `rule` is as
+    `rules.make_rule` reads it, `fall` the steps over which γ falls.
     """
 
     task: str
@@ -44,6 +62,7 @@ class Header:
     rule: str
     beta: float
     gamma: float
+    fall: float
     dt: float | None
     step: int
     window: int
@@ -62,6 +81,7 @@ class Header:
             "program": PROGRAM,
             "format": FORMAT,
             "topology": self.topology.to_json(),
+            "fall": fall_to_json(self.fall),
             "edges": [dataclasses.astuple(t) for t in self.edges],
             "log": [change_to_json(c) for c in self.log],
         }
@@ -79,10 +99,21 @@ class Header:
                 f"it is of format {number!r}, newer than this hebbviz knows ({FORMAT}): "
                 "update hebbviz"
             )
+        if number < 2:
+            said |= {"rule": str(PAPER), "fall": None}
+        said["fall"] = fall_from_json(said["fall"])
         said["topology"] = Topology.from_json(said["topology"])
         said["edges"] = tuple(Tally(*t) for t in said["edges"])
         said["log"] = tuple(change_from_json(c) for c in said["log"])
         return cls(**said)
+
+
+def known_rule(spec: str) -> Rule:
+    """The rule that a recording names. Raises BadRecording if it is not known here."""
+    try:
+        return make_rule(spec)
+    except ValueError as error:
+        raise BadRecording(f"its rule is not known here: {error}") from error
 
 
 def versions() -> dict[str, str]:
@@ -97,14 +128,22 @@ def versions() -> dict[str, str]:
 def change_to_json(logged: Logged) -> dict[str, Any]:
     """A logged change as plain data: its kind, its step and its fields."""
     fields = dataclasses.asdict(logged.change)
+    if "fall" in fields:
+        fields["fall"] = fall_to_json(fields["fall"])
     return {"step": logged.step, "kind": type(logged.change).__name__, **fields}
 
 
 def change_from_json(said: Any) -> Logged:
-    """Raises ValueError if it is no change, or one of a kind or value that is not allowed."""
+    """Raises ValueError if it is no change, or one of a kind or value that is not allowed, and
+    BadRecording for a rule that is not known here.
+    """
     try:
         fields = dict(said)
         step, kind = fields.pop("step"), CHANGES[fields.pop("kind")]
+        if "fall" in fields:
+            fields["fall"] = fall_from_json(fields["fall"])
+        if kind is SetRule:
+            known_rule(str(fields["rule"]))
         change = kind(**fields)
         _check_types(change)
     except (KeyError, TypeError) as error:
@@ -118,7 +157,7 @@ def _check_types(change: Change) -> None:
     """Raise ValueError unless each field has the type that it is declared with."""
     for field in dataclasses.fields(change):
         value = getattr(change, field.name)
-        if type(value) not in {"frozen": (bool,), "control": (str,)}.get(field.name, (int, float)):
+        if type(value) not in _TYPES.get(field.name, (int, float)):
             raise ValueError(f"{field.name} of a change has a wrong type, got {value!r}")
 
 

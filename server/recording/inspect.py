@@ -6,6 +6,8 @@ import math
 from itertools import pairwise
 from typing import Any
 
+from hebbviz.limits import fall_to_json
+from hebbviz.rules.paper import PAPER
 from hebbviz.task import Tally
 from server.recording.header import change_to_json
 from server.recording.reader import Recording
@@ -39,6 +41,7 @@ def figures(recording: Recording) -> Figures:
         "seconds": steps * header.dt if header.dt else None,
         "beta": header.beta,
         "gamma": header.gamma,
+        "fall": fall_to_json(header.fall),
         "frozen_at_the_end": last.frozen,
         "changes": [change_to_json(c) for c in recording.log if c.step >= header.step],
         "keyframes": len(recording.moments),
@@ -62,7 +65,10 @@ def describe(found: Figures) -> str:
     whole = "whole" if found["whole"] else "cut short" if found["cut"] else "broken off"
     lines = [
         f"{found['task']} {found['preset']}, {found['network']}, seed {found['seed']}, "
-        f"β {found['beta']:.6g}, γ {found['gamma']:.3g} at its start",
+        f"β {found['beta']:.6g}, γ {found['gamma']:.3g}"
+        + ("" if found["fall"] is None else f" falling over {found['fall']:.6g} steps")
+        + ("" if found["rule"] == PAPER.name else f", rule {found['rule']}")
+        + " at its start",
         f"steps {found['first_step']:,} to {found['last_step']:,}{seconds}",
         f"{size_of(found['bytes'])}, {whole}" + (f": {found['ending']}" if found["ending"] else ""),
         f"{found['keyframes']} keyframes, at most {found['steps_between_keyframes']:,} steps apart",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,14 @@ from numpy.typing import NDArray
 
 from hebbviz.learner import Learner
 from hebbviz.moments import Keyframe
+from hebbviz.rules import Rule
+from hebbviz.rules.paper import PAPER
 from hebbviz.task import Tally, Task
 from server.commands import Logged
 from server.history import History
 from server.recording import messages
 from server.recording.chunks import Table, read, readable
-from server.recording.header import BadRecording, Header, change_from_json
+from server.recording.header import BadRecording, Header, change_from_json, known_rule
 from server.recording.stored import Stored
 from server.run import MakeTask, Run
 from server.tape import Moment, Tape
@@ -72,7 +75,8 @@ class Recording:
         try:
             learner = Learner(
                 task, topology=header.topology, beta=header.beta, gamma=header.gamma,
-                seed=header.seed, first_lane=header.first_lane,
+                rule=known_rule(header.rule), fall=header.fall, seed=header.seed,
+                first_lane=header.first_lane,
             )  # fmt: skip
             learner.restore(self.moments[-1].keyframe)
         except ValueError as error:
@@ -140,7 +144,12 @@ def _moments(table: Table | None) -> tuple[Moment, ...]:
     moments = []
     for k, step in enumerate(table.step.tolist()):
         network, world, gamma = (_lane(c[n][k]) for n in ("network", "world", "gamma"))
-        keyframe = Keyframe(step, network, world, gamma, bool(c["frozen"][k]))
+        rule: Rule = PAPER
+        memory, fall = np.zeros((0, 1)), math.inf
+        if "rule" in c:
+            rule, memory = known_rule(c["rule"][k]), _lane(c["memory"][k])
+            fall = float(c["fall"][k][0])
+        keyframe = Keyframe(step, network, world, gamma, bool(c["frozen"][k]), rule, memory, fall)
         if keyframe.digest() != c["digest"][k]:
             raise BadRecording(f"its keyframe at step {step:,} was changed: its checksum is wrong")
         moments.append(Moment(keyframe, int(c["logged"][k][0])))

@@ -13,7 +13,7 @@ from hebbviz.task import Tally
 from server.commands import Logged
 from server.history import usual_window
 from server.recording import thinning
-from server.recording.header import RULE, Header, machine, versions
+from server.recording.header import Header, machine, versions
 from server.recording.status import Status
 from server.recording.take import CLOSE_SECONDS, Take
 from server.recording.targets import Target
@@ -148,9 +148,9 @@ def _header(run: Run, budget: int, detail: str) -> Header:
     window = usual_window(task)
     return Header(
         task=run.task_name, preset=task.preset_name, topology=learner.topology,
-        seed=learner.seed, first_lane=learner.first_lane, rule=RULE, beta=learner.beta,
-        gamma=learner.gamma, dt=task.dt, step=learner.step, window=run.history.window,
-        edges=run.history.edges, log=tuple(run.log), kept_window=window, detail=detail,
-        budget=budget, thinning=thinning.rule(window, budget, detail), versions=versions(),
-        machine=machine(),
+        seed=learner.seed, first_lane=learner.first_lane, rule=str(learner.rule),
+        beta=learner.beta, gamma=learner.gamma, fall=learner.fall, dt=task.dt, step=learner.step,
+        window=run.history.window, edges=run.history.edges, log=tuple(run.log),
+        kept_window=window, detail=detail, budget=budget,
+        thinning=thinning.rule(window, budget, detail), versions=versions(), machine=machine(),
     )  # fmt: skip

@@ -7,6 +7,7 @@ counted, keyframes and changes excepted, so that a slow disk never holds up a ru
 from __future__ import annotations
 
 import contextlib
+import math
 import queue
 import threading
 import time
@@ -145,6 +146,9 @@ class Take(threading.Thread):
         full = self._header.detail == FULL
         world = full and not self._plan.keep
         self._tell(lambda w: w.frame(frame, world=world), 1_000)
+        if not math.isinf(frame.fall):
+            in_force = frame.step, float(frame.beta[0]), float(frame.gamma[0])
+            self._tell(lambda w: w.parameters(*in_force), 200)
         now = time.monotonic()
         apart = max(now - self._looked_at, 1e-3)
         if apart > 1.0 / LOOKS_PER_SECOND and self._thinning.affords(self._look_size, 1.0 / apart):
@@ -161,9 +165,11 @@ class Take(threading.Thread):
         self.parameters(learner)
 
     def parameters(self, learner: Learner) -> None:
-        """β and γ as they are now."""
-        now = learner.step, learner.beta, learner.gamma, learner.frozen
-        self._tell(lambda w: w.parameters(*now), 200, must=True)
+        """β and γ as they are now, and whether learning is frozen."""
+        step, frozen = learner.step, learner.frozen
+        in_force = step, learner.beta, learner.gamma_in_force
+        self._tell(lambda w: w.parameters(*in_force), 150, must=True)
+        self._tell(lambda w: w.phase(step, frozen=frozen), 50, must=True)
 
     def keyframe(self, moment: Moment) -> None:
         """A moment from which the run can be made again."""

@@ -16,6 +16,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from hebbviz.moments import Block, Frame
+from hebbviz.rules import make_rule
 from hebbviz.task import Tally, Task
 from server.commands import Logged
 from server.palette import SERIES
@@ -84,6 +85,8 @@ class Writer:
             greatest_potential=high, reward=since.tally.reward, broadcast=since.tally.broadcast,
             ended=since.tally.ended,
         )  # fmt: skip
+        for reading, kept in zip(frame.rule.memory, frame.memory, strict=True):
+            self._add(f"reward/kept/{entity(reading.name)}", _at(step), np.array([kept]))
         rates = since.spikes / since.steps
         for group in self._topology.neuron_groups:
             where = self._topology.neurons_of(group.name)
@@ -131,10 +134,13 @@ class Writer:
         self._record("change", logged.step, json=json.dumps(change_to_json(logged)))
         self.say(logged.step, str(logged.change))
 
-    def parameters(self, step: int, beta: float, gamma: float, frozen: bool) -> None:
+    def parameters(self, step: int, beta: float, gamma: float) -> None:
         """β, and γ as it is in force."""
         self._add("parameters/beta", _at(step), np.array([beta]))
-        self._add("parameters/gamma", _at(step), np.array([0.0 if frozen else gamma]))
+        self._add("parameters/gamma", _at(step), np.array([gamma]))
+
+    def phase(self, step: int, *, frozen: bool) -> None:
+        """Whether the weights are learning."""
         phase = rows.objects(["weights frozen" if frozen else "learning"])
         self._rows.add("phase", _at(step), phase, rows.states)
 
@@ -143,7 +149,7 @@ class Writer:
         k = moment.keyframe
         self._record(
             "keyframe", k.step, network=k.network, world=k.world, gamma=k.gamma, frozen=k.frozen,
-            logged=moment.logged, digest=k.digest(),
+            rule=str(k.rule), memory=k.memory, fall=k.fall, logged=moment.logged, digest=k.digest(),
         )  # fmt: skip
 
     def say(self, step: int, words: str, level: str = "INFO") -> None:
@@ -226,6 +232,9 @@ class Writer:
         self._static("reward/raw", rr.SeriesLines(colors=SERIES[0], names="r of the task"))
         self._static("reward/broadcast", rr.SeriesLines(colors=SERIES[1], names="r as broadcast"))
         self._static("reward/average", rr.SeriesLines(colors=SERIES[4], names="average"))
+        for reading in make_rule(self._header.rule).memory:
+            kept = rr.SeriesLines(colors=SERIES[3], names=reading.name)
+            self._static(f"reward/kept/{entity(reading.name)}", kept)
         measure = self._task.measure
         curve = rr.SeriesLines(colors=SERIES[2], names=measure.name)
         self._static(f"learning/{measure.key}", curve)

@@ -1,0 +1,156 @@
+"""Rules of learning: how the task's reward r becomes m, the one number every synapse is sent.
+
+    w ← w + γ m z
+
+The paper's rule sends the reward itself, m = r. Another rule is a class in one file, see
+`baseline.py`. It may keep a few numbers of its own from step to step, its memory; they are a part
+of the learner's state, so it is saved, rewound, recorded and shown like the paper's. What it
+cannot do is tell synapses apart: m is one number for the whole network.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import import_module
+from typing import Any, ClassVar
+
+import numpy as np
+from numba import cfunc, types
+from numba.core.errors import NumbaError
+from numpy.typing import NDArray
+
+from hebbviz.task import Reading
+
+Array = NDArray[np.float64]
+
+PER_LANE = types.Array(types.float64, 1, "C")
+
+
+MODULATE = types.void(types.Array(types.float64, 2, "C"), PER_LANE, PER_LANE, PER_LANE, PER_LANE)
+"""The signature of a compiled `Rule.modulate`."""
+
+
+def parameter(default: float, *, least: float, most: float, unit: str = "", hint: str = "") -> Any:
+    """A number that a rule can be given, from `least` to `most`."""
+    said = {"least": least, "most": most, "unit": unit, "hint": hint}
+    return field(default=default, metadata=said)
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A rule with its parameters. A subclass is a frozen dataclass; its fields are `parameter`s.
+
+    Two of the same class and parameters are equal. `str` of it, such as `baseline:time=1000`,
+    makes it again with `make_rule`. Raises ValueError for a parameter out of its bounds.
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str] = ""
+    memory: ClassVar[tuple[Reading, ...]] = ()
+    """What it keeps: a name and a unit for each row of its memory."""
+    least_lanes: ClassVar[int] = 1
+
+    def __post_init__(self) -> None:
+        for f in dataclasses.fields(self):
+            value, least, most = getattr(self, f.name), f.metadata["least"], f.metadata["most"]
+            if not (isinstance(value, (int, float)) and least <= value <= most):  # NaN is neither
+                raise ValueError(
+                    f"rule {self.name}: {f.name} must be from {least:g} to {most:g}, got {value!r}"
+                )
+
+    @staticmethod
+    def modulate(memory: Any, constants: Any, reward: Any, ended: Any, sent: Any) -> None:
+        """One step of all lanes; compiled by numba, so in the part of Python that it knows.
+
+        `memory` (rows, lanes) is zero at first and is changed in place; `constants` (parameters,)
+        holds the parameters in the order of the fields; `reward` (lanes,) is r of the task,
+        `ended` (lanes,) 1 where an episode ended. It writes m into `sent` (lanes,).
+        """
+        raise NotImplementedError
+
+    @property
+    def constants(self) -> Array:
+        return np.array([getattr(self, f.name) for f in dataclasses.fields(self)], dtype=float)
+
+    def compiled(self) -> Any:
+        """`modulate`, compiled. Raises ValueError if numba cannot do that."""
+        try:
+            return _compiled(type(self).modulate)
+        except NumbaError as error:
+            where, *why = str(error).splitlines()  # the first line tells of numba alone
+            said = (why or [where])[0][:200]
+            raise ValueError(f"rule {self.name}: modulate cannot be compiled: {said}") from error
+
+    def __str__(self) -> str:
+        given = (f"{f.name}={_shortest(getattr(self, f.name))}" for f in dataclasses.fields(self))
+        return ":".join(filter(None, (self.name, ",".join(given))))
+
+
+@cache
+def _compiled(modulate: Any) -> Any:
+    return cfunc(MODULATE, cache=True)(modulate)
+
+
+def _shortest(value: float) -> str:
+    """The shortest text that is this number to the bit."""
+    short = f"{value:g}"
+    return short if float(short) == value else repr(value)
+
+
+# By name
+
+RULES = {"paper": "Paper", "baseline": "Baseline", "yoked": "Yoked"}
+"""Built-in rules: module of this package, and the class in it."""
+
+_own: dict[str, type[Rule]] = {}
+
+
+def rule_names() -> tuple[str, ...]:
+    """Of all rules that can be made, those of the user's own files last."""
+    return (*RULES, *_own)
+
+
+def register(rule: type[Rule]) -> None:
+    """Let `make_rule` know a rule of the user's own. Raises ValueError for a name that is taken."""
+    if rule.name in RULES:
+        raise ValueError(f"rule {rule.name!r} comes with hebbviz: give yours another name")
+    _own[rule.name] = rule
+
+
+def rule_class(name: str) -> type[Rule]:
+    """The class of a rule; raises ValueError for an unknown name."""
+    if name in _own:
+        return _own[name]
+    if name not in RULES:
+        raise ValueError(
+            f"there is no rule {name!r}; choose from {', '.join(rule_names())}, "
+            "or name the file of your own with --rule path.py:Name"
+        )
+    found: type[Rule] = getattr(import_module(f"hebbviz.rules.{name}"), RULES[name])
+    return found
+
+
+def make_rule(spec: str) -> Rule:
+    """The rule that `NAME` or `NAME:parameter=value,...` says; ValueError says what is wrong."""
+    name, _, given = spec.partition(":")
+    return rule_class(name)(**_values(rule_class(name), given))
+
+
+def _values(rule: type[Rule], given: str) -> dict[str, float]:
+    known = [f.name for f in dataclasses.fields(rule)]
+    values = {}
+    for part in filter(None, given.split(",")):
+        name, _, text = part.partition("=")
+        if name not in known:
+            has = f"it has {', '.join(known)}" if known else "it has none"
+            raise ValueError(f"rule {rule.name} has no parameter {name!r}; {has}")
+        try:
+            values[name] = float(text)
+        except ValueError:
+            values[name] = math.nan
+        if math.isnan(values[name]):
+            raise ValueError(f"rule {rule.name}: {name} must be a number, got {text!r}")
+    return values

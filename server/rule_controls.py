@@ -1,0 +1,95 @@
+"""The controls of the rule: which one, its parameters, and over how many steps γ falls."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import viser
+
+from hebbviz.moments import Frame
+from hebbviz.rules import Rule, rule_class, rule_names
+from server.commands import SetFall, SetRule
+from server.picture import Picture
+from server.widgets import Widgets, assign
+
+NEVER = "never"
+
+
+class RuleControls:
+    """Builds the widgets at the end of a folder; `follow` shows what a Picture says."""
+
+    def __init__(self, widgets: Widgets, folder: viser.GuiFolderHandle) -> None:
+        self._ui, self._folder = widgets, folder
+        self._parameters: dict[str, Any] = {}
+        self._rule: Rule | None = None
+        gui = widgets.gui
+        with folder:
+            self.fall = gui.add_text(
+                "gamma falls over", NEVER,
+                hint="T in steps, or never: at step t the γ in force is γ T/(T + t)",
+            )  # fmt: skip
+            self.in_force = gui.add_markdown("")
+            self.rule = gui.add_dropdown(
+                "rule", rule_names(), hint="what a reward is made into for the synapses"
+            )
+            self.words = gui.add_markdown("")
+        widgets.when(self.rule, SetRule)
+        widgets.when(self.fall, _typed_fall, unfinished=lambda _: True)
+
+    def follow(self, picture: Picture) -> None:
+        """Show what holds; in the past, what held at the step that is shown."""
+        frame = picture.live if picture.past is None else picture.shown
+        rule = frame.rule
+        fits = tuple(n for n in rule_names() if rule_class(n).least_lanes <= picture.lanes)
+        assign(self.rule, "options", fits)
+        self._ui.put(self.rule, rule.name)
+        if type(rule) is not type(self._rule):
+            self._build_parameters(rule)
+        self._rule = rule
+        for name, handle in self._parameters.items():
+            self._ui.put(handle, float(getattr(rule, name)))
+        assign(self.words, "content", _words(frame))
+        self._ui.put(self.fall, NEVER if math.isinf(frame.fall) else f"{frame.fall:g}")
+        assign(self.in_force, "visible", not math.isinf(frame.fall))
+        assign(self.in_force, "content", f"γ in force {float(frame.gamma[0]):.3g}")
+
+    def _build_parameters(self, rule: Rule) -> None:
+        for handle in self._parameters.values():
+            handle.remove()
+        self._parameters = {}
+        with self._folder:
+            for field in dataclasses.fields(rule):
+                self._parameters[field.name] = self._add(rule, field)
+
+    def _add(self, rule: Rule, field: dataclasses.Field[Any]) -> Any:
+        said, name = field.metadata, field.name
+        unit = f" ({said['unit']})" if said["unit"] else ""
+        handle = self._ui.gui.add_number(
+            f"{name}{unit}", float(getattr(rule, name)), min=said["least"], max=said["most"],
+            hint=said["hint"],
+        )  # fmt: skip
+
+        def command(value: float) -> SetRule:
+            assert self._rule is not None
+            return SetRule(str(dataclasses.replace(self._rule, **{name: float(value)})))
+
+        self._ui.when(handle, command, unfinished=lambda _: True)
+        return handle
+
+
+def _typed_fall(text: str) -> SetFall:
+    try:
+        return SetFall(math.inf if text.strip() == NEVER else float(text))
+    except ValueError as error:
+        raise ValueError(
+            f"gamma falls over a number of steps from 1 on, or {NEVER}, got {text[:40]!r}"
+        ) from error
+
+
+def _words(frame: Frame) -> str:
+    """What the rule does, and what it keeps now."""
+    kept = zip(frame.rule.memory, frame.memory.tolist(), strict=True)
+    now = "".join(f", {reading.name} **{value:.4g}**" for reading, value in kept)
+    return f"{frame.rule.summary}{now}"
