@@ -145,6 +145,12 @@ class Learner:
         finally:
             self._new_summary()
 
+    def skip_tallied(self, steps: int) -> list[Tally]:
+        """`skip`, and the totals of each lane over these steps."""
+        before = self.tallies()
+        self.skip(steps)
+        return [now - then for now, then in zip(self.tallies(), before, strict=True)]
+
     def _numbers_if(self, closely: bool) -> int | None:
         return len(self._lane_states()[self.watch]) if closely else None
 
@@ -331,6 +337,10 @@ class Learner:
         """Totals since the start, of one lane (default the watched one)."""
         totals = self._section("tally")[:, self.watch if lane is None else lane]
         return Tally(self.step, *(float(x) for x in totals))
+
+    def tallies(self) -> list[Tally]:
+        """Totals since the start, of each lane."""
+        return [self.tally(lane) for lane in range(self.lanes)]
 
     def set_weights(self, weights: Array) -> None:
         """Put (synapses, lanes) weights in place of the present ones; traces stay."""

@@ -250,12 +250,13 @@ class Task:
         """The measure of success over a stretch of steps."""
         return Score(tally.average_reward)
 
-    def evaluate(self, learner: Learner) -> dict[str, float]:
-        """How a frozen copy does, in a run of its own; the learner is left as it is."""
-        copy = learner.frozen_copy()
-        before = copy.tally()
-        copy.advance(100_000)
-        return {self.measure.key: self.score(copy.tally() - before).value}
+    def evaluate(self, learner: Learner) -> dict[str, Array]:
+        """How a frozen copy does in each lane, (lanes,), in a run of its own.
+
+        The learner is left as it is.
+        """
+        tallies = learner.frozen_copy().skip_tallied(100_000)
+        return {self.measure.key: np.array([self.score(t).value for t in tallies])}
 
     def results(self, learner: Learner, late: Tally) -> dict[str, float]:
         """The figures `hebbviz train` reports; `late` covers the last fifth of its steps."""

@@ -61,7 +61,8 @@ class Evaluator:
     def _evaluate(self, copy: Learner, run: object) -> None:
         step = copy.step
         try:
-            figures = copy.task.evaluate(copy)
+            evaluated = copy.task.evaluate(copy)
+            figures = {name: float(values[copy.watch]) for name, values in evaluated.items()}
         except TaskError as error:
             self._notice(f"the evaluation of a frozen copy failed: {error}")
             figures = {}

@@ -19,6 +19,7 @@ from server.making import maker
 from server.recording.recordings import Options, Recordings
 from server.recording.status import Status
 from server.run import Run
+from server.stretches import stretches
 from server.tape import Pace
 
 if TYPE_CHECKING:
@@ -172,17 +173,11 @@ def train(
 
 def _skip(go: Steps, steps: int, stop: threading.Event, moved: Callable[[int], object]) -> None:
     """`go.skip(steps)`, cut so that `stop` acts soon whatever a step costs."""
-    learner = go.learner
-    end, chunk = learner.step + steps, 1
-    while learner.step < end and not stop.is_set():
-        size, began = min(chunk, end - learner.step), time.perf_counter()
+    for size in stretches(steps, CHUNK_SECONDS):
+        if stop.is_set():
+            break
         go.skip(size)
         moved(size)
-        seconds = time.perf_counter() - began
-        if seconds < CHUNK_SECONDS / 2:
-            chunk = 2 * chunk
-        elif seconds > 2 * CHUNK_SECONDS:
-            chunk = max(1, chunk // 2)
 
 
 @contextlib.contextmanager

@@ -1,0 +1,12 @@
+"""Experiments: many independent lanes of a task, on all cores or over a Dask cluster.
+
+`plan` says what is run, `share` is the piece of it that a worker does, `workers` who does it,
+`store` keeps what was done on disk, and `run` brings it to its end: interrupted at any moment, it
+goes on from there. What comes of it are `Curves`.
+"""
+
+from server.experiments.plan import Curves, Plan
+from server.experiments.run import Interrupted, run, run_all
+from server.experiments.workers import Workers, open_workers
+
+__all__ = ["Curves", "Interrupted", "Plan", "Workers", "open_workers", "run", "run_all"]
