@@ -23,7 +23,14 @@ from hebbviz.chance import (
     uniforms,
 )
 from hebbviz.layout import Layout
-from hebbviz.limits import MOST_LANES, check_beta, check_gamma, check_reward, check_steps
+from hebbviz.limits import (
+    MOST_LANES,
+    check_beta,
+    check_gamma,
+    check_lane,
+    check_reward,
+    check_steps,
+)
 from hebbviz.moments import Block, Frame, Keyframe, Summary
 from hebbviz.task import CompiledTask, Tally, Task
 from hebbviz.topology import Topology
@@ -286,6 +293,11 @@ class Learner:
         self._observed = seen
         rule.hold(self.network, self.layout.table, self._observed)
 
+    def look_at(self, lane: int) -> None:
+        """Choose the lane that Blocks and Frames show; the next Frame sums up from now."""
+        self.watch = check_lane(lane, self.lanes)
+        self._new_summary()
+
     def probe(self, synapses: Sequence[int]) -> None:
         """Choose the synapses whose least and greatest z Summaries tell, from the next one on."""
         for synapse in synapses:
@@ -331,7 +343,14 @@ class Learner:
     @property
     def world(self) -> Array:
         """The state of the task, (numbers, lanes)."""
-        return np.stack(self._lane_states(), axis=1)
+        if isinstance(self.task, CompiledTask):
+            return self._world.copy()
+        return np.stack(self._states, axis=1)
+
+    @property
+    def totals(self) -> Array:
+        """Reward of the task, reward broadcast, episodes ended since the start, (3, lanes)."""
+        return self._section("tally").copy()
 
     def tally(self, lane: int | None = None) -> Tally:
         """Totals since the start, of one lane (default the watched one)."""
@@ -352,7 +371,7 @@ class Learner:
     def frame(self) -> Frame:
         """The watched lane now, and the summary since the last call."""
         lane = self.watch
-        weight, trace = held.unfolded(self.layout, self.network)
+        weight, trace = self._watched_synapses()
         tally = self.tally()
         neurons = self.topology.neurons
         raw, broadcast = self._section("reward")[:, lane]
@@ -362,14 +381,14 @@ class Learner:
             potential_range=self._extremes[:, :neurons].copy(),
             probes=self._probes,
             probe_range=self._extremes[:, neurons:].copy(),
-            weight_change=weight[:, lane] - self._summed_weight,
+            weight_change=weight - self._summed_weight,
             tally=tally - self._summed_tally,
         )
         frame = Frame(
             step=self.step,
             topology=self.topology,
-            weight=weight[:, lane].copy(),
-            trace=trace[:, lane].copy(),
+            weight=weight,
+            trace=trace,
             frozen=self._frozen,
             world=self._lane_states()[lane].copy(),
             reward=(float(raw), float(broadcast)),
@@ -418,11 +437,16 @@ class Learner:
         self._new_summary()
 
     def twin(self, task: Task | None = None) -> Learner:
-        """A second learner of the same making, at its start, with this one's lanes and seed."""
-        return Learner(
+        """A second learner of the same making, at its start, with this one's lanes and seed.
+
+        It shows the same lane.
+        """
+        twin = Learner(
             self.task if task is None else task, topology=self.topology, beta=self.beta,
             gamma=self.gamma, seed=self.seed, lanes=self.lanes, first_lane=self.first_lane,
         )  # fmt: skip
+        twin.look_at(self.watch)
+        return twin
 
     def frozen_copy(self, task: Task | None = None) -> Learner:
         """These weights, learning switched off, at the start of a run of their own."""
@@ -430,7 +454,6 @@ class Learner:
         copy.set_weights(self.weights)
         copy.freeze(True)
         copy.step = EVALUATION_STEP
-        copy.watch = self.watch
         copy._new_summary()  # noqa: SLF001  # another of this class
         return copy
 
@@ -438,6 +461,12 @@ class Learner:
 
     def _section(self, name: str) -> Array:
         return self.layout.section(self.network, name)
+
+    def _watched_synapses(self) -> tuple[Array, Array]:
+        """w and z of the watched lane, each (synapses,)."""
+        lane = self.network[:, self.watch : self.watch + 1]
+        weight, trace = held.unfolded(self.layout, lane)
+        return weight[:, 0], trace[:, 0]
 
     def _rows(self, name: str) -> int:
         return self.topology.neurons if name == "draw" else self.layout.sizes[name]
@@ -508,7 +537,7 @@ class Learner:
     def _new_summary(self) -> None:
         self._summed_steps = 0
         self._summed_tally = self.tally()
-        self._summed_weight = held.unfolded(self.layout, self.network)[0][:, self.watch]
+        self._summed_weight = self._watched_synapses()[0]
         self._probes = self.probes
         self._probe_rows = np.array(
             [held.trace_rows(self.layout, s) for s in self._probes], dtype=np.int64

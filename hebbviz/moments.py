@@ -38,6 +38,12 @@ class Keyframe:
             digest.update(array.astype("<f8").tobytes())
         return digest.hexdigest()
 
+    def lane(self, lane: int) -> Keyframe:
+        """One of its lanes, from which that lane alone is made again."""
+        one = slice(lane, lane + 1)
+        network, world, gamma = (a[:, one].copy() for a in (self.network, self.world, self.gamma))
+        return Keyframe(self.step, network, world, gamma, self.frozen)
+
 
 @dataclass(frozen=True)
 class Block:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from hebbviz.learner import Learner
 from hebbviz.limits import check_beta, check_gamma, check_reward
+from server.making import MOST_SHOWN_LANES
 
 LARGEST_SPEED = 1e9
 REALTIME = "realtime"
@@ -129,9 +130,21 @@ class SetSpeed:
 
 @dataclass(frozen=True)
 class Reset:
-    """Start again with the set β and γ, from the same seed or from another."""
+    """Start again with the set β and γ, from the same seed or from another, with as many lanes or
+    another number: lane k of a seed is the same run whatever lanes are beside it.
+    """
 
     seed: int | None = None
+    lanes: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.lanes is not None and not 1 <= self.lanes <= MOST_SHOWN_LANES:
+            raise ValueError(f"lanes must be from 1 to {MOST_SHOWN_LANES}, got {self.lanes}")
+
+    def __str__(self) -> str:
+        if self.lanes is not None:
+            return f"{self.lanes} lane{'s' * (self.lanes != 1)}"
+        return "reset" if self.seed is None else f"new seed {self.seed}"
 
 
 @dataclass(frozen=True)
@@ -179,6 +192,13 @@ class ShowBeginning:
 @dataclass(frozen=True)
 class Evaluate:
     """See how a frozen copy does, while the run goes on."""
+
+
+@dataclass(frozen=True)
+class WatchLane:
+    """The lane that is shown."""
+
+    lane: int
 
 
 @dataclass(frozen=True)
@@ -265,7 +285,7 @@ class StopRecording:
     pass
 
 
-Looking = SetWatch | SetWatchSpeed | ShowReward | ShowBeginning | Evaluate | Probe
+Looking = SetWatch | SetWatchSpeed | ShowReward | ShowBeginning | Evaluate | WatchLane | Probe
 """What only says how the run is looked at."""
 
 Command = (

@@ -31,7 +31,9 @@ from server.commands import (
     ShowReward,
     StepOnce,
     Undo,
+    WatchLane,
 )
+from server.making import MOST_SHOWN_LANES
 from server.picture import Picture
 from server.widgets import Widgets, assign
 from sims import TASKS
@@ -129,6 +131,11 @@ class Controls:
 
     def _build_watch(self) -> None:
         gui = self._gui
+        self.lane = gui.add_number(
+            "lane", 0, min=0, max=0, step=1, visible=False,
+            hint="which of the replicas is shown; G, H: the one before, the next",
+        )  # fmt: skip
+        self._ui.when(self.lane, lambda v: WatchLane(int(v)), unfinished=lambda _: True)
         self.watch = gui.add_checkbox(
             "watch", True, hint="while the run goes on, play excerpts that the eye can follow"
         )
@@ -156,9 +163,16 @@ class Controls:
         )
         self.new_seed = gui.add_button("New seed", icon=viser.Icon.DICE_5)
         self.hidden = gui.add_text("hidden", "8", hint="sizes of the hidden layers: 16 or 8,8")
+        self.lanes = gui.add_number(
+            "lanes", 1, min=1, max=MOST_SHOWN_LANES, step=1,
+            hint="how many replicas run side by side, each with random numbers of its own: "
+            "another number starts a new run, in which lane 0 is the same as before. A world that "
+            "is stepped in Python, the pendulum, takes so many times as long",
+        )  # fmt: skip
         self._ui.when(self.typed_speed, lambda v: SetSpeed(float(v)))
         self._ui.when(self.seed, lambda v: Reset(seed=int(v)), unfinished=lambda _: True)
         self._ui.when(self.hidden, self._choose_hidden, unfinished=lambda _: True)
+        self._ui.when(self.lanes, lambda v: Reset(lanes=int(v)), unfinished=lambda _: True)
         self._ui.press(self.new_seed, lambda: Reset(seed=(int(self.seed.value) + 1) % LARGEST_SEED))
 
     def _build_keys(self) -> None:
@@ -169,6 +183,8 @@ class Controls:
         self._ui.key("Undo", "U", Undo)
         self._ui.key("Freeze learning", "F", lambda: Freeze(not _in_force(self._ui.picture)[2]))
         self._ui.key("Latest reward, slowly", "L", ShowReward)
+        self._ui.key("The lane before", "G", lambda: self._lane_from_here(-1))
+        self._ui.key("The next lane", "H", lambda: self._lane_from_here(1))
         amount = self.amount
         self._ui.key("Reward by hand", "P", lambda: GiveReward(float(amount.value)))
         self._ui.key("Punishment by hand", "O", lambda: GiveReward(-float(amount.value)))
@@ -236,6 +252,10 @@ class Controls:
         assign(self.undo, "label", undo)
         assign(self.undo, "disabled", picture.undo_words is None)
         self._ui.put(self.seed, picture.seed)
+        self._ui.put(self.lanes, picture.lanes)
+        assign(self.lane, "visible", picture.lanes > 1)
+        assign(self.lane, "max", picture.lanes - 1)
+        self._ui.put(self.lane, picture.lane)
         assign(self.hidden, "disabled", type(picture.task).topology is not Task.topology)
         self._ui.put(self.hidden, ",".join(map(str, _hidden(picture))) or "none")
         speed = picture.speed if isinstance(picture.speed, str) else f"{picture.speed:g}"
@@ -267,6 +287,11 @@ class Controls:
         if list(sizes) == _hidden(picture):
             return None
         return Choose(picture.task_name, picture.task.preset_name, sizes)
+
+    def _lane_from_here(self, by: int) -> WatchLane | None:
+        """The next lane or the one before, round and round; None if there is but one."""
+        picture = self._ui.picture
+        return WatchLane((picture.lane + by) % picture.lanes) if picture.lanes > 1 else None
 
     def _set_typed_gamma(self, text: str) -> Command:
         try:

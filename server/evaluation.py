@@ -7,6 +7,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hebbviz.learner import Learner, TaskError
 from hebbviz.task import CompiledTask
 from server.run import MakeTask
@@ -17,10 +20,10 @@ PAUSE_SECONDS = 2.0
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Figures of a frozen copy made at `step`; names as in `Task.evaluate`."""
+    """Figures of a frozen copy made at `step`, each (lanes,); names as in `Task.evaluate`."""
 
     step: int
-    figures: dict[str, float]
+    figures: dict[str, NDArray[np.float64]]
 
 
 class Evaluator:
@@ -40,10 +43,7 @@ class Evaluator:
 
     def start(self, learner: Learner, task_name: str) -> None:
         """Evaluate a copy of this learner as it is now; only while `is_free`."""
-        copy = Learner(
-            self._make_task(task_name, learner.task.preset_name), topology=learner.topology,
-            beta=learner.beta, gamma=learner.gamma, seed=learner.seed, lanes=learner.lanes,
-        )  # fmt: skip
+        copy = learner.twin(self._make_task(task_name, learner.task.preset_name))
         copy.restore(learner.keyframe())
         self._thread = threading.Thread(target=self._evaluate, args=(copy, self._run), daemon=True)
         self._thread.start()
@@ -61,9 +61,11 @@ class Evaluator:
     def _evaluate(self, copy: Learner, run: object) -> None:
         step = copy.step
         try:
-            evaluated = copy.task.evaluate(copy)
-            figures = {name: float(values[copy.watch]) for name, values in evaluated.items()}
-        except TaskError as error:
+            figures = {
+                name: np.array(values, dtype=np.float64).reshape(copy.lanes)
+                for name, values in copy.task.evaluate(copy).items()
+            }
+        except (TaskError, ValueError) as error:
             self._notice(f"the evaluation of a frozen copy failed: {error}")
             figures = {}
         self._ended_at = time.monotonic()

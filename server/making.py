@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from server.run import MakeTask
 
 DEFAULT_TASK = "pendulum"
+MOST_SHOWN_LANES = 256
+"""Lanes of a run with a page: a moment of it is a copy of them all."""
 
 
 def make_learner(args: argparse.Namespace) -> Learner:
@@ -32,7 +34,10 @@ def make_learner(args: argparse.Namespace) -> Learner:
     if args.load is not None:
         return _loaded(args)
     task = make_task(args.task or DEFAULT_TASK, args.preset)
-    return Learner(task, hidden=args.hidden, beta=args.beta, gamma=args.gamma, seed=args.seed or 0)
+    return Learner(
+        task, hidden=args.hidden, beta=args.beta, gamma=args.gamma, seed=args.seed or 0,
+        lanes=getattr(args, "lanes", None) or 1,
+    )  # fmt: skip
 
 
 def _loaded(args: argparse.Namespace) -> Learner:
@@ -43,6 +48,9 @@ def _loaded(args: argparse.Namespace) -> Learner:
     )
     if args.seed not in (None, learner.seed):
         raise _contradiction(f"--load {args.load}", "--seed", args.seed, learner.seed)
+    lanes = getattr(args, "lanes", None)
+    if lanes not in (None, learner.lanes):
+        raise _contradiction(f"--load {args.load}", "--lanes", lanes, learner.lanes)
     if args.hidden is not None and learner.task.topology(args.hidden) != learner.topology:
         sizes = ",".join(str(n) for n in args.hidden) or "none"
         raise _contradiction(

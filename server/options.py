@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from hebbviz import __version__
-from server.making import DEFAULT_TASK
+from server.making import DEFAULT_TASK, MOST_SHOWN_LANES
 from server.terminal import InputError
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 MOST_STEPS = 10**12
 
-_NUMERIC = ("--beta", "--gamma", "--seed", "--speed", "--port", "--steps", "--stream")
+_NUMERIC = ("--beta", "--gamma", "--seed", "--speed", "--port", "--steps", "--stream", "--lanes")
 
 EPILOG = "The rule, the presets and how to write a task of your own are in the README."
 
@@ -87,6 +87,10 @@ def _add_serve(commands: Any) -> None:
         "--speed", type=_speed, metavar="S",
         help="steps per second, realtime (tasks with a time step) or max; can be changed on "
         "the page",
+    )  # fmt: skip
+    serve.add_argument(
+        "--lanes", type=_whole("lanes", 1, MOST_SHOWN_LANES), metavar="N",
+        help="how many replicas learn side by side, one of them watched (default 1)",
     )  # fmt: skip
     _add_page(serve)
     _add_recording(serve)

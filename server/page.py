@@ -182,7 +182,7 @@ class Page:
             self._look_at(client, camera.OVERVIEW)
 
     def _identity(self, picture: Picture) -> tuple[object, ...]:
-        return picture.task, picture.live.topology, self._theme
+        return picture.task, picture.live.topology, self._theme, picture.lanes
 
     def _set_theme(self) -> None:
         self._server.gui.configure_theme(

@@ -25,6 +25,10 @@ class Moment:
     keyframe: Keyframe
     logged: int
 
+    def lane(self, lane: int) -> Moment:
+        """The same moment of one lane alone."""
+        return Moment(self.keyframe.lane(lane), self.logged)
+
     @property
     def step(self) -> int:
         return self.keyframe.step

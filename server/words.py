@@ -121,8 +121,10 @@ def warning(picture: Picture) -> str | None:
 
 
 def besides(picture: Picture) -> list[str]:
-    """What goes on besides what is shown: the other copy of a fork, a recording."""
+    """What goes on besides what is shown: other lanes, the other copy of a fork, a recording."""
     lines = []
+    if picture.lanes > 1:
+        lines.append(f"**{picture.lanes} lanes** side by side, **lane {picture.lane}** watched")
     if picture.other is not None:
         other = picture.other
         lines.append(
@@ -219,6 +221,9 @@ def speed(picture: Picture) -> str:
         asked = picture.speed if isinstance(picture.speed, str) else f"{picture.speed:g} steps/s"
         return f"the past is played at `{asked}`"
     reached = f"`{short(picture.steps_per_second)} steps/s`"
+    if picture.lanes > 1:
+        of_all = short(picture.steps_per_second * picture.lanes)
+        reached += f" × {picture.lanes} lanes = `{of_all} lane-steps/s`"
     dt = picture.task.dt
     times = f" = {short(picture.steps_per_second * dt)} × real time" if dt else ""
     return f"reached: {reached}{times}{time_of(picture.task, picture.live.step)}"

@@ -49,9 +49,11 @@ from server.commands import (
     StopRecording,
     TakeOver,
     Undo,
+    WatchLane,
 )
 from server.evaluation import Evaluator, evaluates_by_itself
 from server.fork import Difference, Fork
+from server.history import Totals
 from server.picture import Other, Past, Picture
 from server.player import Player
 from server.recording.recordings import Options, Recordings
@@ -304,9 +306,22 @@ class Worker(threading.Thread):
                 self._watch.show_beginning(self._run)
             case Evaluate():
                 self._evaluate()
+            case WatchLane(lane):
+                self._look_at(lane)
             case Probe(synapses):
                 known = range(self._run.learner.topology.synapses)
                 self._run.learner.probe([s for s in synapses if s in known])
+
+    def _look_at(self, lane: int) -> None:
+        """Show another lane: now, in excerpts, in the past, in both copies of a fork."""
+        self._run.look_at(lane)
+        self._watch.look_at(lane)
+        self._excerpt_trail.clear()
+        self._live_trail.clear()
+        if self._fork is not None:
+            self._fork.look_at(lane)
+        if self._player is not None:
+            self._player.seek(self._player.cursor)
 
     def _change(self, change: Change) -> None:
         """Make a change in the run; in its past, by taking over there."""
@@ -448,12 +463,14 @@ class Worker(threading.Thread):
             self._evaluate()
         self._live_trail.add(live)
         shown, trail = self._what_is_shown(live, seconds)
+        curves = self._run.history.curves(Totals.of(learner))
         picture = Picture(
             number=self._number + 1,
             made_at=time.monotonic(),
             task=learner.task,
             task_name=self._run.task_name,
             seed=learner.seed,
+            lane=learner.watch,
             beta=learner.beta,
             gamma=learner.gamma,
             frozen=learner.frozen,
@@ -463,7 +480,8 @@ class Worker(threading.Thread):
             shown_trail=trail.frames,
             live_trail=self._live_trail.frames,
             excerpt=self._watch.excerpt(),
-            curve=self._run.history.curve(live.tally),
+            curve=curves.lane(learner.watch),
+            curves=curves,
             ghost=self._run.ghost,
             changes=tuple(self._run.log[-200:]),
             paused=self._paused if self._player is None else not self._player.playing,

@@ -40,8 +40,7 @@ class Options:
 class Recordings:
     """Starts and stops them, those that the options ask for at once.
 
-    Raises OSError, FileExistsError for a file of that name, and ValueError for a run of several
-    lanes.
+    Raises OSError, FileExistsError for a file of that name.
     """
 
     def __init__(self, run: Run, options: Options, *, on_notice: Callable[[str], None]) -> None:
