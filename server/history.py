@@ -76,6 +76,14 @@ class Curves:
         sums = np.array([t.sums[:, lane] for t in self.edges])
         return Curve(self.window, steps[1:], np.diff(steps), *np.diff(sums, axis=0).T)
 
+    def coarser(self, most: int) -> Curves:
+        """At most so many windows: while there are more, two become one."""
+        window, edges = self.window, self.edges
+        while len(edges) > most + 1:
+            window *= 2
+            edges = (edges[0], *(t for t in edges[1:] if t.steps % window == 0))
+        return Curves(window, edges)
+
 
 class History:
     """Totals at the edges of equal windows; when there are too many, two become one."""

@@ -22,7 +22,9 @@ Bands = dict[str, tuple[Points, Points]]
 OTHER: Rgb = palette.SERIES[3]
 """Of the other copy of a fork."""
 EARLIER: Rgb = (140, 140, 140)
-HEIGHT, HEIGHT_WITH_LANES = 215, 270
+HEIGHT, HEIGHT_WITH_LANES = 215, 250
+MOST_WINDOWS = 128
+"""With several lanes longer windows are shown, so that the curve of one does not hide the rest."""
 
 
 class Learning:
@@ -59,43 +61,24 @@ class Learning:
             handle.remove()
 
     def draw(self, picture: Picture) -> None:
-        points, bands = self._of_run(picture), {}
+        curve, all_lanes = picture.curve, None
+        if self._has_lanes:
+            curves = picture.curves.coarser(MOST_WINDOWS)
+            curve, all_lanes = curves.lane(picture.lane), self._scores.spread(curves)
+        points = dict(zip((self._run, "at least"), _scores(picture, curve), strict=True))
+        bands: Bands = {}
+        if all_lanes is not None:
+            points[self._middle], bands[self._middle] = _drawn(all_lanes)
         for name, of_copies in _frozen(picture).items():
             points[name], bands[name] = _drawn(of_copies)
-        if self._has_lanes:
-            all_lanes = self._scores.spread(picture.curves)
-            points[self._middle], bands[self._middle] = _drawn(all_lanes)
+        if picture.ghost is not None:
+            points["earlier run"] = _scores(picture, picture.ghost)[0]
         more = others(picture)
         if picture.other is not None:
             points |= dict.fromkeys(more, _scores(picture, since(picture.other))[0])
         self._chart.draw(points, marks(picture), bands=bands, cursor=cursor(picture), more=more)
-        self._words.content = self._said(picture, at_least=len(points["at least"][0]) > 0)
-
-    def _of_run(self, picture: Picture) -> dict[str, Points]:
-        """The watched lane, and the run before."""
-        points = dict(zip((self._run, "at least"), _scores(picture, picture.curve), strict=True))
-        if picture.ghost is not None:
-            points["earlier run"] = _scores(picture, picture.ghost)[0]
-        return points
-
-    def _said(self, picture: Picture, *, at_least: bool) -> str:
-        newest = picture.curve.tallies()[-1:]
-        said = [words.score(picture.task.score(t), picture.task.measure) for t in newest]
-        now = f", now **{said[0]}**" if said else ""
-        if self._has_lanes and said:
-            now = f", now **{said[0]}** in lane {picture.lane}{self._said_of_lanes(picture)}"
-        bound = " Dots: no fall in that window, so at least this." if at_least else ""
-        both = "" if picture.other is None else words.compared(picture, picture.other)
-        return (
-            f"{both}\n\nEach point sums up {words.steps(picture.curve.window)}{now}.{bound} "
-            f"{_changes(picture)} {_evaluated(picture)}"
-        )
-
-    def _said_of_lanes(self, picture: Picture) -> str:
-        measure = picture.task.measure
-        middle = float(self._scores.spread(picture.curves).middle[-1])
-        name, band = spread.names(measure)
-        return f", {name} **{words.score(Score(middle), measure)}** (band: {band})"
+        at_least = len(points["at least"][0]) > 0
+        self._words.content = _said(picture, curve, all_lanes, at_least=at_least)
 
 
 # What other charts of a run show too
@@ -166,6 +149,22 @@ def _frozen(picture: Picture) -> dict[str, Spread]:
         )
         for key in task.frozen_figures
     }  # fmt: skip
+
+
+def _said(picture: Picture, curve: Curve, all_lanes: Spread | None, *, at_least: bool) -> str:
+    measure = picture.task.measure
+    newest = curve.tallies()[-1:]
+    now = "".join(f", now **{words.score(picture.task.score(t), measure)}**" for t in newest)
+    if now and all_lanes is not None:
+        name, band = spread.names(measure)
+        middle = words.score(Score(float(all_lanes.middle[-1])), measure)
+        now += f" in lane {picture.lane}; {name} **{middle}** (band: {band})"
+    bound = " Dots: no fall in that window, so at least this." if at_least else ""
+    both = "" if picture.other is None else words.compared(picture, picture.other)
+    return (
+        f"{both}\n\nEach point sums up {words.steps(curve.window)}{now}.{bound} "
+        f"{_changes(picture)} {_evaluated(picture)}"
+    )
 
 
 def _evaluated(picture: Picture) -> str:

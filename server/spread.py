@@ -40,7 +40,7 @@ def names(measure: Measure) -> tuple[str, str]:
     """What the middle and the band are."""
     if measure.logarithmic:
         return "median", "quartiles"
-    return "mean", "mean ± standard deviation"
+    return "mean", "± standard deviation"
 
 
 class Scores:

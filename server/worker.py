@@ -459,7 +459,7 @@ class Worker(threading.Thread):
         learner = self._run.learner
         live = self._run.frame()
         moves = bool(live.since.steps) and evaluates_by_itself(learner)
-        if moves and self._evaluator.is_free():
+        if moves and self._evaluator.is_rested():
             self._evaluate()
         self._live_trail.add(live)
         shown, trail = self._what_is_shown(live, seconds)
