@@ -20,6 +20,8 @@ Points = tuple[Array, Array]
 Span = tuple[float, float]
 
 HEIGHT = 132
+WIDTH = 1.5
+"""Of a line, in pixels."""
 SHRINK = 0.2
 SHRINK_DRAWINGS = 40
 """A vertical axis is made smaller when the curves did with this share of it so many times."""
@@ -39,6 +41,7 @@ class Cursor(NamedTuple):
 
 
 NO_MORE: Mapping[str, Rgb] = {}
+NO_WIDTHS: Mapping[str, float] = {}
 NO_BANDS: Mapping[str, tuple[Points, Points]] = {}
 
 BAND_EDGE = "hebbviz-band-edge"
@@ -63,7 +66,7 @@ class Chart:
         series: Mapping[str, Rgb],
         *,
         banded: Sequence[str] = (),
-        bold: Sequence[str] = (),
+        widths: Mapping[str, float] = NO_WIDTHS,
         dashed: Sequence[str] = (),
         dotted: Sequence[str] = (),
         logarithmic: bool = False,
@@ -73,7 +76,7 @@ class Chart:
     ) -> None:
         self._gui, self._container, self._title = gui, container, title
         self._usual, self._dashed, self._dotted = dict(series), frozenset(dashed), frozenset(dotted)
-        self._banded, self._bold = tuple(banded), frozenset(bold)
+        self._banded, self._widths = tuple(banded), dict(widths)
         self._logarithmic, self._legend, self._height = logarithmic, legend, height
         self._more: dict[str, Rgb] = {}
         self._has_cursor = False
@@ -169,7 +172,7 @@ class Chart:
         dashed = name in self._dashed
         line = uplot.Series(
             label=name, stroke=css(color, 0.55 if dashed else 1.0),
-            width=2.5 if name in self._bold else 1.5, points={"show": False}, spanGaps=True,
+            width=self._widths.get(name, WIDTH), points={"show": False}, spanGaps=True,
         )  # fmt: skip
         if dashed:
             line["dash"] = (5, 4)

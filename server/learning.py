@@ -42,13 +42,13 @@ class Learning:
         banded: tuple[str, ...] = ()
         if self._has_lanes:
             banded = (self._middle, *frozen)
-            series = {self._middle: palette.SERIES[0], **frozen, **series}
-        else:
-            series |= frozen
+            series[self._middle] = palette.SERIES[0]
+        series |= frozen
         measure = task.measure
         unit = f" ({measure.unit})" if measure.unit else ""
         self._chart = Chart(
-            gui, tab, f"{measure.name}{unit}", series, banded=banded, bold=banded,
+            gui, tab, f"{measure.name}{unit}", series, banded=banded,
+            widths=dict.fromkeys(banded, 2.5) | ({self._run: 0.8} if self._has_lanes else {}),
             dashed=("earlier run",), dotted=("at least",), logarithmic=measure.logarithmic,
             span=measure.span, height=HEIGHT_WITH_LANES if self._has_lanes else HEIGHT,
         )  # fmt: skip
