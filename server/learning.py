@@ -22,7 +22,7 @@ Bands = dict[str, tuple[Points, Points]]
 OTHER: Rgb = palette.SERIES[3]
 """Of the other copy of a fork."""
 EARLIER: Rgb = (140, 140, 140)
-HEIGHT, HEIGHT_WITH_LANES = 215, 250
+HEIGHT, HEIGHT_WITH_LANES = 215, 230
 MOST_WINDOWS = 128
 """With several lanes longer windows are shown, so that the curve of one does not hide the rest."""
 

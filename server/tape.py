@@ -38,6 +38,11 @@ class Moment:
         """Bytes."""
         return self.keyframe.network.nbytes + self.keyframe.world.nbytes
 
+    @property
+    def lane_size(self) -> int:
+        """Bytes of one lane of it, which is what a recording takes."""
+        return self.size // int(self.keyframe.network.shape[1])
+
 
 class Tape:
     """Moments in the order of their steps, the first and the last one always among them.

@@ -116,7 +116,8 @@ def warning(picture: Picture) -> str | None:
     if picture.error is not None:
         return picture.error
     if picture.past is None:
-        return stuck(picture.live_trail)
+        why = stuck(picture.live_trail)
+        return f"Lane {picture.lane}: {why}" if why and picture.lanes > 1 else why
     return f"{picture.past.check.value}." if picture.past.check is Check.DIFFERS else None
 
 

@@ -209,7 +209,8 @@ class Worker(threading.Thread):
         self._steps_made.append((began, done))
         computed = time.monotonic() - began
         self._adapt(computed, done)
-        if self._pace.is_due(computed, computed if self._rate() is None else seconds, moment.size):
+        passed, recorded = computed if self._rate() is None else seconds, moment.lane_size
+        if self._pace.is_due(computed, passed, recorded):
             self._run.keep()
 
     def _steps_owed(self) -> int:

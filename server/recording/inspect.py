@@ -33,6 +33,7 @@ def figures(recording: Recording) -> Figures:
         "network": header.topology.describe(),
         "rule": header.rule,
         "seed": header.seed,
+        "lane": header.first_lane,
         "first_step": header.step,
         "last_step": recording.last_step,
         "steps": steps,
@@ -61,8 +62,9 @@ def describe(found: Figures) -> str:
     seconds = f", {found['seconds']:,.2f} s of its own time" if found["seconds"] else ""
     whole = "whole" if found["whole"] else "cut short" if found["cut"] else "broken off"
     lines = [
-        f"{found['task']} {found['preset']}, {found['network']}, seed {found['seed']}, "
-        f"β {found['beta']:.6g}, γ {found['gamma']:.3g} at its start",
+        f"{found['task']} {found['preset']}, {found['network']}, seed {found['seed']}"
+        + (f", lane {found['lane']}" if found["lane"] else "")
+        + f", β {found['beta']:.6g}, γ {found['gamma']:.3g} at its start",
         f"steps {found['first_step']:,} to {found['last_step']:,}{seconds}",
         f"{size_of(found['bytes'])}, {whole}" + (f": {found['ending']}" if found["ending"] else ""),
         f"{found['keyframes']} keyframes, at most {found['steps_between_keyframes']:,} steps apart",
