@@ -202,6 +202,13 @@ class WatchLane:
 
 
 @dataclass(frozen=True)
+class NextLane:
+    """Show the next lane, or with -1 the one before, round and round."""
+
+    by: int = 1
+
+
+@dataclass(frozen=True)
 class Probe:
     """The synapses whose traces the tabs follow."""
 
@@ -285,7 +292,9 @@ class StopRecording:
     pass
 
 
-Looking = SetWatch | SetWatchSpeed | ShowReward | ShowBeginning | Evaluate | WatchLane | Probe
+Looking = (
+    SetWatch | SetWatchSpeed | ShowReward | ShowBeginning | Evaluate | WatchLane | NextLane | Probe
+)
 """What only says how the run is looked at."""
 
 Command = (

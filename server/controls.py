@@ -20,6 +20,7 @@ from server.commands import (
     Evaluate,
     Freeze,
     GiveReward,
+    NextLane,
     Pause,
     Press,
     Reset,
@@ -183,8 +184,8 @@ class Controls:
         self._ui.key("Undo", "U", Undo)
         self._ui.key("Freeze learning", "F", lambda: Freeze(not _in_force(self._ui.picture)[2]))
         self._ui.key("Latest reward, slowly", "L", ShowReward)
-        self._ui.key("The lane before", "G", lambda: self._lane_from_here(-1))
-        self._ui.key("The next lane", "H", lambda: self._lane_from_here(1))
+        self._ui.key("The lane before", "G", lambda: NextLane(-1))
+        self._ui.key("The next lane", "H", NextLane)
         amount = self.amount
         self._ui.key("Reward by hand", "P", lambda: GiveReward(float(amount.value)))
         self._ui.key("Punishment by hand", "O", lambda: GiveReward(-float(amount.value)))
@@ -287,11 +288,6 @@ class Controls:
         if list(sizes) == _hidden(picture):
             return None
         return Choose(picture.task_name, picture.task.preset_name, sizes)
-
-    def _lane_from_here(self, by: int) -> WatchLane | None:
-        """The next lane or the one before, round and round; None if there is but one."""
-        picture = self._ui.picture
-        return WatchLane((picture.lane + by) % picture.lanes) if picture.lanes > 1 else None
 
     def _set_typed_gamma(self, text: str) -> Command:
         try:

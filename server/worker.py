@@ -28,6 +28,7 @@ from server.commands import (
     Freeze,
     GiveReward,
     Looking,
+    NextLane,
     Pause,
     Press,
     Probe,
@@ -309,12 +310,16 @@ class Worker(threading.Thread):
                 self._evaluate()
             case WatchLane(lane):
                 self._look_at(lane)
+            case NextLane(by):
+                self._look_at((self._run.learner.watch + by) % self._run.learner.lanes)
             case Probe(synapses):
                 known = range(self._run.learner.topology.synapses)
                 self._run.learner.probe([s for s in synapses if s in known])
 
     def _look_at(self, lane: int) -> None:
         """Show another lane: now, in excerpts, in the past, in both copies of a fork."""
+        if lane == self._run.learner.watch:
+            return
         self._run.look_at(lane)
         self._watch.look_at(lane)
         self._excerpt_trail.clear()

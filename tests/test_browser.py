@@ -426,7 +426,7 @@ def test_many_lanes_have_a_band_that_grows_while_one_is_watched(page: Page, live
     assert max(band(page)) > 1.0, "in %, of 64 lanes that differ"
     field(page, "lane").fill("5")
     eventually(page, lambda: live.picture.lane == 5)
-    field(page, "lane").blur()
+    field(page, "lane").blur()  # keys that are typed into a field are no commands
     page.keyboard.press("h")
     eventually(page, lambda: live.picture.lane == 6)
     eventually(page, lambda: "64 lanes side by side, lane 6 watched" in text_of(page))

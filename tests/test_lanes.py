@@ -21,6 +21,7 @@ from server.commands import (
     EndFork,
     Freeze,
     GiveReward,
+    NextLane,
     Pause,
     Reset,
     Seek,
@@ -338,7 +339,9 @@ def test_the_worker_shows_the_chosen_lane_everywhere() -> None:
         assert b.notices[1:] == [
             f"lane must be from 0 to {LANES - 1}, got {k}" for k in (LANES, -1)
         ]
-        b.send(Reset(lanes=1), SetGamma(0.1))
+        b.send(NextLane(), NextLane(-1), NextLane(-1), NextLane(-1))
+        b.until(lambda p: p.lane == LANES - 1, PATIENCE)
+        b.send(Reset(lanes=1), SetGamma(0.1), NextLane())
         alone = b.until(lambda p: p.lanes == 1 and p.gamma == 0.1, PATIENCE)
         assert (alone.lane, alone.undo_words) == (0, "γ 0.1")
 
