@@ -20,6 +20,7 @@ from hebbviz.learner import Learner
 from hebbviz.task import Task
 from server import palette
 from server.experiments import Curves, Plan
+from server.figures.scales import scales, spaced
 from server.figures.sheet import INK, SMALL, Sheet, Table, blank, color, look, mark_end
 from sims.lamps import Lamps, small_example
 
@@ -37,7 +38,7 @@ STILL = 1e-9
 """A step size at which the weights move by less than 1e-3 in 10⁷ steps."""
 
 _POINTS = 100
-"""Evaluations of a plan: where it ends, one of longer segments takes over."""
+"""Evaluations of a plan."""
 _COLORS = tuple(color(palette.SERIES[k]) for k in (4, 1, 3, 2, 5, 0))
 
 
@@ -102,15 +103,11 @@ def make(order: Order, work: Work) -> Sheet:
 
 
 def _plans(beta: float, lanes: int, steps: int, seed: int) -> list[Watching]:
-    """The same runs again and again, 100 times as long each time, for points at all scales."""
-    lengths = [steps]
-    while lengths[0] > 100 * _POINTS:
-        lengths.insert(0, lengths[0] // 100)
-    return [
-        Watching(beta=beta, gamma=STILL, seed=seed, lanes=lanes, segments=_POINTS,
-                 segment_steps=length // _POINTS, evaluate=1)
-        for length in lengths
-    ]  # fmt: skip
+    whole = Watching(
+        beta=beta, gamma=STILL, seed=seed, lanes=lanes, segments=_POINTS,
+        segment_steps=steps // _POINTS, evaluate=1,
+    )  # fmt: skip
+    return scales(whole, first=100 * _POINTS)
 
 
 @dataclass(frozen=True)
@@ -129,8 +126,7 @@ def _course(beta: float, curves: list[Curves], chain: Chain) -> _Course:
     steps = np.concatenate([c.evaluated_at[1:] for c in curves])
     angle = np.concatenate([c.figures["angle"][:, 1:] for c in curves], axis=1)
     steps, at = np.unique(steps, return_index=True)
-    wanted = np.geomspace(steps[0], steps[-1], 1 + 12 * round(np.log10(steps[-1] / steps[0])))
-    chosen = np.unique(np.abs(steps[:, None] - wanted).argmin(axis=0))
+    chosen = spaced(steps, 12)
     steps, angle = steps[chosen], angle[:, at[chosen]]
     bias = float(angles(chain.biased_gradient(beta)[:, None], chain.gradient)[0])
     cosines = [chain.expected_cosine(beta, steps=float(t)) for t in steps]
