@@ -13,14 +13,11 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from itertools import pairwise
 from pathlib import Path
 
-import hebbviz
 from server.experiments.plan import Curves, Plan, joined
-from server.experiments.share import Tile, bring_on
+from server.experiments.share import Tile
 from server.experiments.store import Store
 from server.experiments.workers import Workers
 
-SHARE_SECONDS = 3.0
-"""How long a worker is busy with a share: what a kill may cost, and Ctrl-C may take."""
 TILE = 64
 """Most lanes of a tile: the compiled loop is fastest with so many."""
 
@@ -96,7 +93,7 @@ class _Driver:
             elif not self._running:
                 raise Interrupted
             for share in wait(self._running, _LOOK_SECONDS, FIRST_COMPLETED).done:
-                self._take(self._running.pop(share), share.result())
+                self._take(self._running.pop(share), self._workers.result(share))
                 progress(self._fraction())
 
     def done(self) -> list[tuple[Plan, list[Tile]]]:
@@ -109,10 +106,7 @@ class _Driver:
         room = max(1, self._workers.count()) - len(self._running)
         for _ in range(min(room, len(self._waiting))):
             k, tile = self._waiting.popleft()
-            share = self._workers.executor.submit(
-                bring_on, self._plans[k], tile, SHARE_SECONDS, hebbviz.__version__
-            )
-            self._running[share] = k
+            self._running[self._workers.submit(self._plans[k], tile)] = k
 
     def _take(self, k: int, tile: Tile) -> None:
         self._tiles[k][tile.first_lane] = tile
