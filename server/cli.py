@@ -16,7 +16,6 @@ import json
 import os
 import signal
 import sys
-import tempfile
 import traceback
 from collections.abc import Callable
 from pathlib import Path
@@ -29,9 +28,9 @@ from server.terminal import (
     FAILED,
     FINE,
     InputError,
+    check_writable,
     fail,
     place,
-    reason,
     say,
     tell,
     user_can_mend,
@@ -291,13 +290,7 @@ def _check_save(name: str | None) -> None:
     target = Path(name if name.endswith(".npz") else f"{name}.npz")
     if not name or target.is_dir():
         raise InputError(f"--save must name a file, got {name!r}")
-    try:
-        with tempfile.TemporaryFile(dir=target.parent):
-            pass
-    except OSError as error:
-        raise InputError(
-            f"cannot save in {target.parent}: {reason(error)}; choose another folder"
-        ) from error
+    check_writable(target.parent)
 
 
 def _save(args: argparse.Namespace, learner: Learner) -> str | None:
@@ -310,8 +303,33 @@ def _save(args: argparse.Namespace, learner: Learner) -> str | None:
     return f"saved in {path}"
 
 
+# Figures
+
+
+def figure(args: argparse.Namespace) -> int:
+    """Make one of the paper's figures."""
+    from server.experiments import Interrupted
+    from server.figures.command import make, unfinished
+    from server.figures.order import Order
+    from server.interrupts import Interrupts
+
+    with Interrupts() as interrupts:
+        try:
+            with user_can_mend(args):
+                order = Order.of(args)
+                made = make(order, interrupts.stop)
+        except Interrupted:
+            tell(f"stopped; the same command goes on from {unfinished(order)}")
+            return 128 + (interrupts.number or signal.SIGINT)
+        except KeyboardInterrupt:
+            tell("stopped at once; the same command goes on from what was kept")
+            _leave(128 + (interrupts.number or signal.SIGINT))
+    say(json.dumps(made, allow_nan=False))
+    return FINE
+
+
 COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
-    c.__name__: c for c in (serve, train, replay, view, inspect, export)
+    c.__name__: c for c in (serve, train, replay, view, inspect, export, figure)
 }
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from hebbviz import __version__
+from hebbviz.limits import MOST_LANES
 from server.making import DEFAULT_TASK
 from server.terminal import InputError
 
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
 
 MOST_STEPS = 10**12
 
-_NUMERIC = ("--beta", "--gamma", "--seed", "--speed", "--port", "--steps", "--stream")
+_NUMERIC = ("--beta", "--gamma", "--seed", "--speed", "--port", "--steps", "--stream",
+            "--epochs", "--hours", "--lanes")  # fmt: skip
 
 EPILOG = "The rule, the presets and how to write a task of your own are in the README."
 
@@ -69,7 +71,8 @@ def _parser() -> _Parser:
     commands = parser.add_subparsers(
         dest="command", metavar="COMMAND", required=True, parser_class=_Parser
     )
-    for add in (_add_serve, _add_train, _add_replay, _add_view, _add_inspect, _add_export):
+    for add in (_add_serve, _add_train, _add_replay, _add_view, _add_inspect, _add_export,
+                _add_figure):  # fmt: skip
         add(commands)
     return parser
 
@@ -242,6 +245,61 @@ def _add_export(commands: Any) -> None:
     export.add_argument(
         "--every-step", type=_steps, metavar="FROM:TO",
         help="make these steps again, and write all that the network did in each of them",
+    )  # fmt: skip
+
+
+def _add_figure(commands: Any) -> None:
+    from server.figures.order import KINDS
+
+    figure = commands.add_parser(
+        "figure",
+        help="make one of the paper's figures: PNG, SVG and the CSV behind them",
+        description="Make one of the paper's figures, from runs of its own: PNG, SVG and the CSV "
+        "behind them, and what it comes to as one line of JSON. Ctrl-C ends it early; the same "
+        "command then goes on where it was.",
+        epilog=f"Exit code 130 or 143 if Ctrl-C or SIGTERM ended it. {EPILOG}",
+        allow_abbrev=False,
+    )
+    figure.add_argument(
+        "name", choices=KINDS, metavar="NAME",
+        help="; ".join(f"{name}: {kind.shows}" for name, kind in KINDS.items()),
+    )  # fmt: skip
+    figure.add_argument(
+        "--out", type=Path, required=True, metavar="FOLDER", help="folder to write into"
+    )
+    figure.add_argument(
+        "--task", metavar="T", help="for learning: a task by name, or your own as path.py:Name"
+    )
+    figure.add_argument(
+        "--preset", metavar="P", help="a setting of the task (default the figure's own)"
+    )
+    figure.add_argument(
+        "--lanes", type=_whole("lanes", 1, MOST_LANES), metavar="N",
+        help="independent runs (default the figure's own)",
+    )  # fmt: skip
+    length = figure.add_mutually_exclusive_group()
+    length.add_argument(
+        "--epochs", type=_whole("epochs", 1, MOST_STEPS), metavar="N",
+        help="length of each run, for tasks with a training set",
+    )  # fmt: skip
+    length.add_argument(
+        "--hours", type=_number("hours"), metavar="H",
+        help="length of each run in simulated hours, for tasks with a time step",
+    )  # fmt: skip
+    length.add_argument(
+        "--steps", type=_whole("steps", 1, MOST_STEPS), metavar="N",
+        help="length of each run, for learning",
+    )  # fmt: skip
+    figure.add_argument(
+        "--seed", type=_whole("seed", 0, 2**32 - 1), default=0, metavar="N",
+        help="random seed (default %(default)s)",
+    )  # fmt: skip
+    figure.add_argument(
+        "--quick", action="store_true", help="a small version in less than a minute, to try it"
+    )
+    figure.add_argument(
+        "--scheduler", metavar="ADDRESS",
+        help="run it on the workers of a Dask scheduler, as tcp://HOST:PORT (default all cores)",
     )  # fmt: skip
 
 

@@ -1,0 +1,78 @@
+"""What figures of learning curves share: a plan's setting in words, runs as columns, strokes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from hebbviz.task import Measure
+    from server.experiments import Plan
+    from server.figures.scales import Course
+    from server.figures.sheet import Color
+
+Array = NDArray[np.float64]
+
+
+def setting(plan: Plan) -> dict[str, Any]:
+    """With what a plan is run, its defaults filled in."""
+    learner = plan.learner(plan.first_lane, 1)
+    return {
+        "task": plan.task, "preset": learner.task.preset_name,
+        "network": learner.topology.describe(), "beta": learner.beta, "gamma": learner.gamma,
+        "lanes": plan.lanes,
+    }  # fmt: skip
+
+
+def words_of(plan: Plan) -> str:
+    """`setting` in a line, but for the lanes."""
+    s = setting(plan)
+    return f"{s['network']}, β {s['beta']:g}, γ {shown(s['gamma'])}"
+
+
+def shown(number: float) -> str:
+    """As 0.01, and 10⁻⁶ in place of 1e-06."""
+    digits, _, exponent = f"{number:g}".partition("e")
+    if not exponent:
+        return digits
+    power = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return f"10{power}" if digits == "1" else f"{digits}·10{power}"
+
+
+def finite(value: Any) -> float | None:
+    """Fit for strict JSON."""
+    return float(value) if np.isfinite(value) else None
+
+
+def lane_columns(name: str, values: NDArray[Any]) -> dict[str, list[Any]]:
+    """A column for each lane of (lanes, n)."""
+    return {f"{name}_{k}": lane.tolist() for k, lane in enumerate(values)}
+
+
+def draw_course(axes: Axes, times: Array, course: Course, shade: Color) -> None:
+    """Each run faint, the median bold; a dot where most runs are at least there."""
+    axes.plot(times, course.values.T, color=shade, lw=0.7, alpha=0.35)
+    axes.plot(times, course.median, color=shade, lw=2.2)
+    bound = course.is_bound.mean(axis=0) >= 0.5
+    axes.plot(times[bound], course.median[bound], "o", color=shade, ms=3.5, mfc="white")
+
+
+def set_measure_axis(axes: Axes, measure: Measure) -> None:
+    """The vertical axis of a task's measure."""
+    unit = f", {measure.unit}" if measure.unit else ""
+    axes.set_ylabel(f"{measure.name}{unit}")
+    if measure.logarithmic:
+        axes.set_yscale("log")
+    if measure.span is not None:
+        axes.set_ylim(*measure.span)
+
+
+def late(values: Array, part: float = 0.2) -> Array:
+    """The mean of each lane over the last part of its points, (lanes,)."""
+    count = max(1, round(part * values.shape[1]))
+    mean: Array = np.mean(values[:, -count:], axis=1)
+    return mean

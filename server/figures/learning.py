@@ -1,0 +1,118 @@
+"""The learning curve of any task: its measure over time, each run faint and the median bold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from server import palette
+from server.experiments import Plan
+from server.figures.curves import (
+    draw_course,
+    finite,
+    lane_columns,
+    late,
+    set_measure_axis,
+    setting,
+    words_of,
+)
+from server.figures.scales import Course, even_course
+from server.figures.sheet import IDLE, SMALL, Sheet, Table, blank, color, look
+from server.making import DEFAULT_TASK
+from server.terminal import InputError
+from sims.loading import make_task
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hebbviz.task import Task
+    from server.figures.command import Work
+    from server.figures.order import Order
+
+_POINTS, _QUICK_POINTS = 100, 25
+
+
+@dataclass(frozen=True)
+class _Time:
+    """The axis of time: its name for figures and files, and how many steps its unit has."""
+
+    name: str
+    key: str
+    steps: float
+
+
+def make(order: Order, work: Work) -> Sheet:
+    """Default 16 runs of 10⁶ steps; quick 3 of 20 000."""
+    name = order.task or DEFAULT_TASK
+    task = make_task(name, order.preset)
+    time = _time(order, task)
+    steps = _steps(order, time)
+    points = min(_QUICK_POINTS if order.quick else _POINTS, steps)
+    plan = Plan(
+        task=name, preset=order.preset, seed=order.seed,
+        lanes=order.lanes or (3 if order.quick else 16), segments=points,
+        segment_steps=-(-steps // points),
+    )  # fmt: skip
+    (curves,) = work.curves([plan])
+    course = even_course(task, curves)
+    with look():
+        figure = _draw(plan, task, time, course)
+    final = late(course.values)
+    numbers = setting(plan) | {
+        "steps": plan.steps, "measure": task.measure.key,
+        f"{task.measure.key}_late_median": finite(np.median(final)),
+        f"{task.measure.key}_late": [finite(v) for v in final],
+        "is_lower_bound": bool(course.is_bound.any()),
+    }  # fmt: skip
+    note = f"quick: {plan.lanes} runs of {plan.steps:,} steps in place of 16 of 1,000,000"
+    return Sheet(figure, _table(task, time, course), numbers, note if order.quick else "")
+
+
+def _time(order: Order, task: Task) -> _Time:
+    """Epochs or steps where they were asked for or there is nothing else, else simulated time.
+
+    Raises InputError where the task has no such time.
+    """
+    if order.epochs is not None:
+        if task.epoch is None:
+            raise InputError(f"task {task.name!r} has no epochs: give --hours or --steps")
+        return _Time("epochs", "epoch", task.epoch)
+    if order.hours is not None and task.dt is None:
+        raise InputError(f"task {task.name!r} has no time but its steps: give --steps")
+    if task.dt is None or order.steps is not None:
+        return _Time("steps", "step", 1.0)
+    return _Time("simulated time, hours", "hours", 3600.0 / task.dt)
+
+
+def _steps(order: Order, time: _Time) -> int:
+    for length in (order.epochs, order.hours):
+        if length is not None:
+            return max(1, round(length * time.steps))
+    return order.steps or (20_000 if order.quick else 10**6)
+
+
+def _table(task: Task, time: _Time, course: Course) -> Table:
+    key = task.measure.key
+    return {
+        "step": course.steps.tolist(),
+        **({} if time.key == "step" else {time.key: (course.steps / time.steps).tolist()}),
+        f"{key}_median": course.median.tolist(),
+        **lane_columns(key, course.values),
+        **{f"is_lower_bound_{k}": lane.astype(int).tolist()
+           for k, lane in enumerate(course.is_bound)},
+    }  # fmt: skip
+
+
+def _draw(plan: Plan, task: Task, time: _Time, course: Course) -> Figure:
+    figure = blank(4.0)
+    axes = figure.add_subplot()
+    times = course.steps / time.steps
+    about = f"{plan.lanes} runs, preset {task.preset_name}: {words_of(plan)}"
+    draw_course(axes, times, course, color(palette.BRAND))
+    set_measure_axis(axes, task.measure)
+    axes.set(xlim=(0, times[-1]), xlabel=time.name)
+    axes.set_title(f"{task.name}: {task.summary or 'learning'}")
+    axes.set_title(about, loc="right", fontsize=SMALL, fontweight="normal", color=IDLE)
+    return figure

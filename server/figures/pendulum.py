@@ -1,0 +1,212 @@
+"""Time to fall against simulated time, preset by preset: each run faint, the median bold.
+
+A point is the length of a block of time divided by the falls in it; where there was none it is
+drawn as a lower bound. Beside the curves stand policies that do not learn, measured in the same
+world: every thrust by chance, and the same thrust all the time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.chance import NEXT_EPISODE, Draws
+from server import palette
+from server.experiments import Plan
+from server.figures.curves import (
+    draw_course,
+    lane_columns,
+    late,
+    set_measure_axis,
+    setting,
+    words_of,
+)
+from server.figures.scales import Course, course, scales
+from server.figures.sheet import IDLE, INK, SMALL, TINY, Sheet, Table, blank, color, look
+from sims.pendulum import Pendulum
+from sims.pendulum_physics import PLANT
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from server.figures.command import Work
+    from server.figures.order import Order
+
+Array = NDArray[np.float64]
+
+SECONDS = {"quick": 1e5, "raw": 2e6, "paper": 1e7, "literal": 2e6}
+"""Simulated seconds in which each preset shows what it can; any other has `OTHER_SECONDS`."""
+OTHER_SECONDS = 1e5
+
+WHY_FLAT = (
+    "Flat, and so it should be: inputs in SI units\nare small beside the weights that it takes "
+    "to\nbalance, and at γ = 10⁻⁶ the weights have\nhardly moved yet. It takes over 10⁷ s."
+)
+
+_QUICK_SECONDS = 400.0
+_SEGMENTS = 500
+_FIRST = round(10.0 / PLANT.time_step)
+"""Steps: where the axis of time begins."""
+_PER_DECADE = 12
+_EPISODES = 1000
+_COLORS = {"quick": 5, "raw": 2, "paper": 4, "literal": 3}
+
+
+def make(order: Order, work: Work) -> Sheet:
+    """Default 16 runs of every preset, for as long as each needs; quick 3 short ones."""
+    presets = [order.preset] if order.preset else list(SECONDS)
+    lanes = order.lanes or (3 if order.quick else 16)
+    plans = [_plans(preset, _seconds(order, preset), lanes, order.seed) for preset in presets]
+    baselines = measured_baselines(order.seed)
+    found = iter(work.curves([p for scale in plans for p in scale]))
+    courses = {
+        preset: course(
+            Pendulum(preset), [next(found) for _ in scale], first=_FIRST, per_decade=_PER_DECADE
+        )
+        for preset, scale in zip(presets, plans, strict=True)
+    }
+    longest = [scale[-1] for scale in plans]
+    with look():
+        figure = _draw(longest, courses, baselines)
+    numbers: dict[str, Any] = {"lanes": lanes, **baselines, "presets": {}}
+    for plan, found_course in zip(longest, courses.values(), strict=True):
+        final = late(found_course.values)
+        numbers["presets"][plan.preset] = setting(plan) | {
+            "simulated_s": plan.steps * PLANT.time_step,
+            "time_to_fall_s_late": final.tolist(),
+            "time_to_fall_s_late_median": float(np.median(final)),
+        }
+    if "literal" in presets:
+        numbers["literal_says"] = WHY_FLAT.replace("\n", " ")
+    note = f"quick: {lanes} short runs in place of 16 runs of up to 10⁷ simulated seconds"
+    return Sheet(figure, _table(courses), numbers, note if order.quick else "")
+
+
+def _seconds(order: Order, preset: str) -> float:
+    if order.hours is not None:
+        return order.hours * 3600.0
+    if order.quick:
+        return _QUICK_SECONDS
+    return SECONDS.get(preset, OTHER_SECONDS)
+
+
+def _plans(preset: str, seconds: float, lanes: int, seed: int) -> list[Plan]:
+    steps = max(1, round(seconds / PLANT.time_step))
+    segments = min(_SEGMENTS, steps)
+    whole = Plan(
+        task="pendulum", preset=preset, seed=seed, lanes=lanes, segments=segments,
+        segment_steps=-(-steps // segments),
+    )  # fmt: skip
+    whole.make_task()
+    return scales(whole, first=_SEGMENTS * _FIRST // 10)
+
+
+# Policies that do not learn
+
+
+def measured_baselines(seed: int) -> dict[str, float]:
+    """Mean time to fall in s, over many episodes, of random and of constant thrust."""
+
+    def by_chance(draws: Draws) -> Array:
+        return np.where(draws(2) < 0.5, -1.0, 1.0)
+
+    return {
+        "random_thrust_s": _time_to_fall(by_chance, seed),
+        "constant_thrust_s": _time_to_fall(lambda _: np.ones(2), seed),
+    }
+
+
+def _time_to_fall(policy: Callable[[Draws], Array], seed: int) -> float:
+    """Lane 0 of the seed, with the draws that a learner's world has; the falling step counts."""
+    task = Pendulum()
+    state, falls, step = task.restart(Draws(seed, 0, 0, NEXT_EPISODE)), 0, 0
+    while falls < _EPISODES:
+        step += 1
+        draws = Draws(seed, 0, step)
+        state = task.transition(state, policy(draws), draws)
+        if task.ended(state):
+            falls += 1
+            state = task.restart(Draws(seed, 0, step, NEXT_EPISODE))
+    return step * PLANT.time_step / falls
+
+
+# The drawing
+
+
+@dataclass(frozen=True)
+class _Line:
+    words: str
+    key: str
+    dashes: tuple[float, float]
+    side: str
+
+
+_LINES = (
+    _Line("random thrust", "random_thrust_s", (5.0, 2.0), "bottom"),
+    _Line("constant thrust", "constant_thrust_s", (1.0, 1.6), "top"),
+)
+
+
+def _draw(plans: list[Plan], courses: dict[str, Course], baselines: dict[str, float]) -> Figure:
+    rows, last = -(-len(plans) // 2), max(p.steps for p in plans) * PLANT.time_step
+    figure = blank(0.7 + 2.75 * rows if len(plans) > 1 else 4.2)
+    grid = figure.subplots(rows, min(2, len(plans)), sharex=True, sharey=True, squeeze=False)
+    for axes, plan, found in zip(grid.flat, plans, courses.values(), strict=False):
+        _panel(axes, plan, found, baselines)
+    for axes in grid[:, -1]:
+        _name_lines(axes, baselines)
+    for axes in grid[-1]:
+        axes.set_xlabel("simulated time, s")
+    for axes in grid[:, 0]:
+        set_measure_axis(axes, Pendulum.measure)
+    grid[0, 0].set(ylim=(0.15, 3e4), xlim=(_FIRST * PLANT.time_step, last))
+    figure.suptitle(
+        f"Pendulum: time to fall, {plans[0].lanes} runs each, the median bold", x=0.015, ha="left",
+        fontsize=9.5, fontweight="bold",
+    )  # fmt: skip
+    return figure
+
+
+def _panel(axes: Axes, plan: Plan, found: Course, baselines: dict[str, float]) -> None:
+    times = found.steps * PLANT.time_step
+    shade = color(palette.SERIES[_COLORS.get(str(plan.preset), 5)])
+    for line in _LINES:
+        axes.axhline(baselines[line.key], color=IDLE, lw=0.9, ls=(0, line.dashes), zorder=1)
+    draw_course(axes, times, found, shade)
+    axes.set_xscale("log")
+    gains = ", ".join(f"{g:g}" for g in Pendulum(plan.preset).preset.options["gains"])
+    axes.set_title(f"preset {plan.preset}", color=shade)
+    words = f"{words_of(plan)}\ninput gains {gains}"
+    if plan.preset == "literal":
+        words += f"\n\n{WHY_FLAT}"
+    axes.text(0.03, 0.96, words, transform=axes.transAxes, va="top", fontsize=SMALL, color=INK,
+              linespacing=1.35)  # fmt: skip
+
+
+def _name_lines(axes: Axes, baselines: dict[str, float]) -> None:
+    for line in _LINES:
+        level = baselines[line.key]
+        words = f"{line.words}\n{level:.3f} s"
+        axes.annotate(words, (1, level), (4, 0), ("axes fraction", "data"), "offset points",
+                      fontsize=TINY, color=IDLE, va=line.side, annotation_clip=False)  # fmt: skip
+
+
+def _table(courses: dict[str, Course]) -> Table:
+    columns: dict[str, list[Any]] = {}
+    for preset, c in courses.items():
+        part = {
+            "preset": [preset] * len(c.steps),
+            "simulated_s": (c.steps * PLANT.time_step).tolist(),
+            "time_to_fall_s_median": c.median.tolist(),
+            **lane_columns("time_to_fall_s", c.values),
+            **lane_columns("is_lower_bound", c.is_bound.astype(int)),
+        }
+        for name, values in part.items():
+            columns.setdefault(name, []).extend(values)
+    return columns
