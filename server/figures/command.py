@@ -22,7 +22,7 @@ from server.figures.order import Order
 from server.figures.sheet import Origin, Sheet, save
 from server.terminal import InputError, check_writable, reason
 
-_BAR = "figure {desc} {percentage:3.0f} %|{bar}| {elapsed} gone, {remaining} left"
+_BAR = "{desc} {percentage:3.0f} %|{bar}| {elapsed} gone, {remaining} left"
 _REDRAW_SECONDS, _LOG_SECONDS = 0.2, 15.0
 """Between two states of the bar, on a terminal and in a file."""
 
@@ -53,10 +53,10 @@ def make(order: Order, stop: threading.Event) -> dict[str, Any]:
     Raises InputError, ValueError, TaskError and OSError for what the user can mend, and
     `experiments.Interrupted` once `stop` is set and what was done is kept.
     """
-    _prepare(order.out)
+    prepare_folder(order.out)
     began = time.perf_counter()
     folder = unfinished(order)
-    with _progress(order.name) as progress:
+    with progress_bar(f"figure {order.name}") as progress:
         sheet = draw(order, Work(folder, stop, progress, order.scheduler))
     origin = Origin(order.command, order.seed)
     files = save(sheet, order.out, order.name, origin)
@@ -68,7 +68,8 @@ def make(order: Order, stop: threading.Event) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _prepare(folder: Path) -> None:
+def prepare_folder(folder: Path) -> None:
+    """Make the folder for results; raises InputError if nothing can be written there."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -91,7 +92,7 @@ def unfinished(order: Order) -> Path:
 
 
 @contextlib.contextmanager
-def _progress(name: str) -> Iterator[Callable[[float], object]]:
+def progress_bar(name: str) -> Iterator[Callable[[float], object]]:
     """A bar on stderr with the time left, from the first fraction that is told."""
     bars: list[Any] = []
 
