@@ -165,7 +165,7 @@ def _draw(plans: list[Plan], courses: dict[str, Course], baselines: dict[str, fl
         axes.set_xlabel("simulated time, s")
     for axes in grid[:, 0]:
         set_measure_axis(axes, Pendulum.measure)
-    grid[0, 0].set(ylim=(0.15, 3e4), xlim=(_FIRST * PLANT.time_step, last))
+    grid[0, 0].set(ylim=(0.15, 3e4), xlim=(min(_FIRST * PLANT.time_step, last / 100.0), last))
     figure.suptitle(
         f"Pendulum: time to fall, {plans[0].lanes} runs each, the median bold", x=0.015, ha="left",
         fontsize=9.5, fontweight="bold",
@@ -174,7 +174,7 @@ def _draw(plans: list[Plan], courses: dict[str, Course], baselines: dict[str, fl
 
 
 def _panel(axes: Axes, plan: Plan, found: Course, baselines: dict[str, float]) -> None:
-    times = found.steps * PLANT.time_step
+    times = np.asarray(found.steps * PLANT.time_step, dtype=np.float64)
     shade = color(palette.SERIES[_COLORS.get(str(plan.preset), 5)])
     for line in _LINES:
         axes.axhline(baselines[line.key], color=IDLE, lw=0.9, ls=(0, line.dashes), zorder=1)
