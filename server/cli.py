@@ -308,7 +308,6 @@ def _save(args: argparse.Namespace, learner: Learner) -> str | None:
 
 def figure(args: argparse.Namespace) -> int:
     """Make one of the paper's figures."""
-    from server.experiments import Interrupted
     from server.figures.command import make, unfinished
     from server.figures.order import Order
     from server.interrupts import Interrupts
@@ -318,12 +317,12 @@ def figure(args: argparse.Namespace) -> int:
             with user_can_mend(args):
                 order = Order.of(args)
                 made = make(order, interrupts.stop)
-        except Interrupted:
-            tell(f"stopped; the same command goes on from {unfinished(order)}")
-            return 128 + (interrupts.number or signal.SIGINT)
         except KeyboardInterrupt:
             tell("stopped at once; the same command goes on from what was kept")
             _leave(128 + (interrupts.number or signal.SIGINT))
+    if made is None:
+        tell(f"stopped; the same command goes on from what is kept in {unfinished(order)}")
+        return 128 + (interrupts.number or signal.SIGINT)
     say(json.dumps(made, allow_nan=False))
     return FINE
 
