@@ -310,7 +310,7 @@ def _save(args: argparse.Namespace, learner: Learner) -> str | None:
 def figure(args: argparse.Namespace) -> int:
     """Make one of the paper's figures."""
 
-    def work(stop: threading.Event) -> dict[str, Any]:
+    def work(stop: threading.Event) -> dict[str, Any] | None:
         from server.figures.command import make
         from server.figures.order import Order
 
@@ -322,7 +322,7 @@ def figure(args: argparse.Namespace) -> int:
 def sweep(args: argparse.Namespace) -> int:
     """Map β against γ."""
 
-    def work(stop: threading.Event) -> dict[str, Any]:
+    def work(stop: threading.Event) -> dict[str, Any] | None:
         from server.sweep.command import make
         from server.sweep.grid import Sweep
 
@@ -331,9 +331,11 @@ def sweep(args: argparse.Namespace) -> int:
     return _experiment(args, work)
 
 
-def _experiment(args: argparse.Namespace, work: Callable[[threading.Event], dict[str, Any]]) -> int:
-    """Do a long work and print what it comes to, or keep what was done of it."""
-    from server.experiments import Interrupted, LostWorkers
+def _experiment(
+    args: argparse.Namespace, work: Callable[[threading.Event], dict[str, Any] | None]
+) -> int:
+    """Do a long work and print what it comes to; `work` returns None if it was stopped."""
+    from server.experiments import LostWorkers
     from server.interrupts import Interrupts
 
     kept = f"the same command goes on from what is kept in {args.out}"
@@ -341,14 +343,14 @@ def _experiment(args: argparse.Namespace, work: Callable[[threading.Event], dict
         try:
             with user_can_mend(args):
                 made = work(interrupts.stop)
-        except Interrupted:
-            tell(f"stopped; {kept}")
-            return 128 + (interrupts.number or signal.SIGINT)
         except LostWorkers as error:
             return fail(FAILED, f"{error}; {kept}")
         except KeyboardInterrupt:
             tell(f"stopped at once; {kept}")
             _leave(128 + (interrupts.number or signal.SIGINT))
+    if made is None:
+        tell(f"stopped; {kept}")
+        return 128 + (interrupts.number or signal.SIGINT)
     say(json.dumps(made, allow_nan=False))
     return FINE
 

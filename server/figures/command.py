@@ -17,7 +17,7 @@ from typing import Any
 from tqdm import tqdm  # type: ignore[import-untyped]
 
 from hebbviz import __version__
-from server.experiments import Curves, Plan, open_workers, run_all
+from server.experiments import Curves, Interrupted, Plan, open_workers, run_all
 from server.figures.order import Order
 from server.figures.sheet import Origin, Sheet, save
 from server.terminal import InputError, check_writable, reason
@@ -47,17 +47,20 @@ class Work:
             )
 
 
-def make(order: Order, stop: threading.Event) -> dict[str, Any]:
+def make(order: Order, stop: threading.Event) -> dict[str, Any] | None:
     """Make the figure of an order; returns what it comes to, fit for strict JSON.
 
-    Raises InputError, ValueError, TaskError and OSError for what the user can mend, and
-    `experiments.Interrupted` once `stop` is set and what was done is kept.
+    None once `stop` was set: what was done is kept. Raises InputError, ValueError, TaskError and
+    OSError for what the user can mend.
     """
     prepare_folder(order.out)
     began = time.perf_counter()
     folder = unfinished(order)
-    with progress_bar(f"figure {order.name}") as progress:
-        sheet = draw(order, Work(folder, stop, progress, order.scheduler))
+    try:
+        with progress_bar(f"figure {order.name}") as progress:
+            sheet = draw(order, Work(folder, stop, progress, order.scheduler))
+    except Interrupted:
+        return None
     origin = Origin(order.command, order.seed)
     files = save(sheet, order.out, order.name, origin)
     shutil.rmtree(folder, ignore_errors=True)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from hebbviz.task import Measure
-    from server.experiments import Plan
+    from hebbviz.task import Measure, Task
+    from server.experiments import Curves, Plan
     from server.figures.scales import Course
     from server.figures.sheet import Color
 
@@ -71,8 +71,14 @@ def set_measure_axis(axes: Axes, measure: Measure) -> None:
         axes.set_ylim(*measure.span)
 
 
-def late(values: Array, part: float = 0.2) -> Array:
-    """The mean of each lane over the last part of its points, (lanes,)."""
-    count = max(1, round(part * values.shape[1]))
-    mean: Array = np.mean(values[:, -count:], axis=1)
-    return mean
+def outcome(task: Task, course: Course, curves: Curves) -> dict[str, Any]:
+    """The measure over the last fifth of all steps, as `hebbviz train` has it, and its median;
+    and the median at the end of the curve, over the last stretch that is drawn.
+    """
+    key, last = task.measure.key, [task.score(tally) for tally in curves.last()]
+    return {
+        key: [finite(s.value) for s in last],
+        f"{key}_median": finite(np.median([s.value for s in last])),
+        f"{key}_median_at_end": finite(course.median[-1]),
+        "is_lower_bound": [bool(s.is_bound) for s in last],
+    }

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from server import palette
 from server.experiments import Plan
 from server.figures.curves import (
     draw_course,
-    finite,
     lane_columns,
-    late,
+    outcome,
     set_measure_axis,
     setting,
     words_of,
@@ -49,13 +46,8 @@ def make(order: Order, work: Work) -> Sheet:
     course = even_course(task, curves)
     with look():
         figure = _draw(plan, task, time, course)
-    final = late(course.values)
-    numbers = setting(plan) | {
-        "steps": plan.steps, "measure": task.measure.key,
-        f"{task.measure.key}_late_median": finite(np.median(final)),
-        f"{task.measure.key}_late": [finite(v) for v in final],
-        "is_lower_bound": bool(course.is_bound.any()),
-    }  # fmt: skip
+    numbers = setting(plan) | {"steps": plan.steps, "measure": task.measure.key}
+    numbers |= outcome(task, course, curves)
     note = f"quick: {plan.lanes} runs of {plan.steps:,} steps in place of 16 of 1,000,000"
     return Sheet(figure, _table(task, time, course), numbers, note if order.quick else "")
 

@@ -19,7 +19,7 @@ from server.experiments import Plan
 from server.figures.curves import (
     draw_course,
     lane_columns,
-    late,
+    outcome,
     set_measure_axis,
     setting,
     words_of,
@@ -54,7 +54,7 @@ _SEGMENTS = 500
 _FIRST = round(10.0 / PLANT.time_step)
 """Steps: where the axis of time begins."""
 _PER_DECADE = 12
-_EPISODES = 1000
+_EPISODES, _QUICK_EPISODES = 1000, 200
 _COLORS = {"quick": 5, "raw": 2, "paper": 4, "literal": 3}
 
 
@@ -63,25 +63,24 @@ def make(order: Order, work: Work) -> Sheet:
     presets = [order.preset] if order.preset else list(SECONDS)
     lanes = order.lanes or (3 if order.quick else 16)
     plans = [_plans(preset, _seconds(order, preset), lanes, order.seed) for preset in presets]
-    baselines = measured_baselines(order.seed)
+    baselines = measured_baselines(order.seed, _QUICK_EPISODES if order.quick else _EPISODES)
     found = iter(work.curves([p for scale in plans for p in scale]))
+    curves = {
+        preset: [next(found) for _ in scale] for preset, scale in zip(presets, plans, strict=True)
+    }
     courses = {
-        preset: course(
-            Pendulum(preset), [next(found) for _ in scale], first=_FIRST, per_decade=_PER_DECADE
-        )
-        for preset, scale in zip(presets, plans, strict=True)
+        preset: course(Pendulum(preset), scale, first=_FIRST, per_decade=_PER_DECADE)
+        for preset, scale in curves.items()
     }
     longest = [scale[-1] for scale in plans]
     with look():
         figure = _draw(longest, courses, baselines)
     numbers: dict[str, Any] = {"lanes": lanes, **baselines, "presets": {}}
-    for plan, found_course in zip(longest, courses.values(), strict=True):
-        final = late(found_course.values)
-        numbers["presets"][plan.preset] = setting(plan) | {
-            "simulated_s": plan.steps * PLANT.time_step,
-            "time_to_fall_s_late": final.tolist(),
-            "time_to_fall_s_late_median": float(np.median(final)),
-        }
+    for plan, preset in zip(longest, presets, strict=True):
+        numbers["presets"][preset] = {
+            **setting(plan), "simulated_s": plan.steps * PLANT.time_step,
+            **outcome(plan.make_task(), courses[preset], curves[preset][-1]),
+        }  # fmt: skip
     if "literal" in presets:
         numbers["literal_says"] = WHY_FLAT.replace("\n", " ")
     note = f"quick: {lanes} short runs in place of 16 runs of up to 10⁷ simulated seconds"
@@ -110,23 +109,23 @@ def _plans(preset: str, seconds: float, lanes: int, seed: int) -> list[Plan]:
 # Policies that do not learn
 
 
-def measured_baselines(seed: int) -> dict[str, float]:
-    """Mean time to fall in s, over many episodes, of random and of constant thrust."""
+def measured_baselines(seed: int, episodes: int) -> dict[str, float]:
+    """Mean time to fall in s, over so many episodes, of random and of constant thrust."""
 
     def by_chance(draws: Draws) -> Array:
         return np.where(draws(2) < 0.5, -1.0, 1.0)
 
     return {
-        "random_thrust_s": _time_to_fall(by_chance, seed),
-        "constant_thrust_s": _time_to_fall(lambda _: np.ones(2), seed),
+        "random_thrust_s": _time_to_fall(by_chance, seed, episodes),
+        "constant_thrust_s": _time_to_fall(lambda _: np.ones(2), seed, episodes),
     }
 
 
-def _time_to_fall(policy: Callable[[Draws], Array], seed: int) -> float:
+def _time_to_fall(policy: Callable[[Draws], Array], seed: int, episodes: int) -> float:
     """Lane 0 of the seed, with the draws that a learner's world has; the falling step counts."""
     task = Pendulum()
     state, falls, step = task.restart(Draws(seed, 0, 0, NEXT_EPISODE)), 0, 0
-    while falls < _EPISODES:
+    while falls < episodes:
         step += 1
         draws = Draws(seed, 0, step)
         state = task.transition(state, policy(draws), draws)
@@ -165,7 +164,7 @@ def _draw(plans: list[Plan], courses: dict[str, Course], baselines: dict[str, fl
         axes.set_xlabel("simulated time, s")
     for axes in grid[:, 0]:
         set_measure_axis(axes, Pendulum.measure)
-    grid[0, 0].set(ylim=(0.15, 3e4), xlim=(_FIRST * PLANT.time_step, last))
+    grid[0, 0].set(ylim=(0.15, 3e4), xlim=(min(_FIRST * PLANT.time_step, last / 100.0), last))
     figure.suptitle(
         f"Pendulum: time to fall, {plans[0].lanes} runs each, the median bold", x=0.015, ha="left",
         fontsize=9.5, fontweight="bold",
@@ -174,7 +173,7 @@ def _draw(plans: list[Plan], courses: dict[str, Course], baselines: dict[str, fl
 
 
 def _panel(axes: Axes, plan: Plan, found: Course, baselines: dict[str, float]) -> None:
-    times = found.steps * PLANT.time_step
+    times = np.asarray(found.steps * PLANT.time_step, dtype=np.float64)
     shade = color(palette.SERIES[_COLORS.get(str(plan.preset), 5)])
     for line in _LINES:
         axes.axhline(baselines[line.key], color=IDLE, lw=0.9, ls=(0, line.dashes), zorder=1)
@@ -203,8 +202,8 @@ def _table(courses: dict[str, Course]) -> Table:
         part = {
             "preset": [preset] * len(c.steps),
             "simulated_s": (c.steps * PLANT.time_step).tolist(),
-            "time_to_fall_s_median": c.median.tolist(),
-            **lane_columns("time_to_fall_s", c.values),
+            f"{Pendulum.measure.key}_median": c.median.tolist(),
+            **lane_columns(Pendulum.measure.key, c.values),
             **lane_columns("is_lower_bound", c.is_bound.astype(int)),
         }
         for name, values in part.items():

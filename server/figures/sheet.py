@@ -110,6 +110,7 @@ def save(sheet: Sheet, folder: Path, name: str, origin: Origin) -> list[Path]:
     """
     about = origin.items()
     with look():
+        _settle(sheet.drawing)
         _small_print(sheet.drawing, origin, sheet.note)
         png, svg = io.BytesIO(), io.BytesIO()
         title = {"Title": f"hebbviz figure {name}"}
@@ -136,6 +137,14 @@ def mark_end(
         text, (x, y), (5, 0), textcoords="offset points", va="center", color=shade, fontsize=size,
         annotation_clip=False,
     )  # fmt: skip
+
+
+def _settle(figure: Figure) -> None:
+    """Lay it out for good, in round numbers: the solver's last digits change from run to run."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    for axes in figure.axes:
+        axes.set_position([round(edge, 4) for edge in axes.get_position(original=True).bounds])
 
 
 def _small_print(figure: Figure, origin: Origin, note: str) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import hebbviz
 from hebbviz import files
-from server.experiments import finish, open_workers
+from server.experiments import Interrupted, finish, open_workers
 from server.figures.command import prepare_folder, progress_bar
 from server.figures.curves import setting
 from server.figures.sheet import Origin, save
@@ -29,17 +29,20 @@ KEPT = "runs"
 
 def make(
     sweep: Sweep, out: Path, stop: threading.Event, *, scheduler: str | None = None
-) -> dict[str, Any]:
+) -> dict[str, Any] | None:
     """Make the map in the folder `out`; returns what it comes to, fit for strict JSON.
 
-    Raises InputError, ValueError, TaskError and OSError for what the user can mend, and
-    `experiments.Interrupted` once `stop` is set and what was done is kept.
+    None once `stop` was set: what was done is kept. Raises InputError, ValueError, TaskError and
+    OSError for what the user can mend.
     """
     about = setting(sweep.untrained)  # finds out whether it can be run at all
     prepare_folder(out)
     began = time.perf_counter()
-    with progress_bar("sweep") as progress, open_workers(scheduler) as workers:
-        done = finish(sweep.plans(), workers, folder=out / KEPT, stop=stop, progress=progress)
+    try:
+        with progress_bar("sweep") as progress, open_workers(scheduler) as workers:
+            done = finish(sweep.plans(), workers, folder=out / KEPT, stop=stop, progress=progress)
+    except Interrupted:
+        return None
     task = sweep.untrained.make_task()
     *points, untrained = (outcome(d, task) for d in done)
     more = [_openings(sweep, d, p, out) for d, p in zip(done[:-1], points, strict=True)]
