@@ -138,17 +138,16 @@ def test_a_stopped_run_goes_on_and_nothing_is_done_twice(tmp_path, short_shares)
 
 def test_a_run_that_is_killed_goes_on(tmp_path):
     """Killed with -9 in the midst of its shares: what was kept is whole, the end the same."""
-    plan = replace(SONAR, segment_steps=40_000, segments=10)
     script = (
         "import json, sys\n"
         "from pathlib import Path\n"
         "from server.experiments import Plan, open_workers, run, workers\n"
-        "workers.SHARE_SECONDS = 0.1\n"
+        "workers.SHARE_SECONDS = 0.0\n"
         "plan = Plan(**json.loads(sys.argv[1]))\n"
         "with open_workers() as cores:\n"
         "    run(plan, cores, folder=Path(sys.argv[2]), progress=lambda f: print(f, flush=True))\n"
     )
-    command = [sys.executable, "-c", script, json.dumps(plan.to_json()), str(tmp_path)]
+    command = [sys.executable, "-c", script, json.dumps(SONAR.to_json()), str(tmp_path)]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
         fractions = [float(process.stdout.readline()) for _ in range(5)]
         process.kill()
@@ -156,9 +155,9 @@ def test_a_run_that_is_killed_goes_on(tmp_path):
     assert process.returncode == -signal.SIGKILL
     assert 0.0 < fractions[-1] < 1.0
     with open_workers() as cores:
-        resumed = run(plan, cores, folder=tmp_path, progress=(left := []).append)
+        resumed = run(SONAR, cores, folder=tmp_path, progress=(left := []).append)
         assert left[0] >= fractions[-1]
-        assert same(resumed, run(plan, cores))
+        assert same(resumed, run(SONAR, cores))
 
 
 def test_plans_are_kept_apart(tmp_path):
