@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,15 @@ class Keyframe:
     world: Array
     gamma: Array
     frozen: bool
+
+    def lane(self, lane: int) -> Keyframe:
+        """One of the lanes alone: the last axis of every array is the lane."""
+        alone: dict[str, Any] = {
+            name: value[..., lane : lane + 1].copy()
+            for name, value in vars(self).items()
+            if isinstance(value, np.ndarray)
+        }
+        return replace(self, **alone)
 
     def digest(self) -> str:
         """SHA-256 of all of it, bit for bit, as 64 hexadecimal digits."""

@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import (
     CancelledError,
@@ -30,6 +31,8 @@ SHARE_SECONDS = 3.0
 """How long a worker is busy with a share: what a kill may cost, and Ctrl-C may take."""
 
 CONNECT_SECONDS = 10.0
+COUNT_SECONDS = 0.5
+"""The workers of a cluster are counted so often."""
 
 
 class LostWorkers(RuntimeError):
@@ -129,7 +132,8 @@ class _Cluster:
         except ImportError as error:
             raise InputError('--scheduler needs Dask: pip install "hebbviz[cluster]"') from error
         self._address = address
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # errors come as exceptions
+        for name in ("distributed", "distributed.client"):  # what matters comes as an exception
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
             self._client: Any = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError, RuntimeError) as error:  # OSError: a TimeoutError too
@@ -145,10 +149,17 @@ class _Cluster:
                 f"the scheduler at {address} has no workers: start some with "
                 f"'dask worker {address}'"
             ) from error
+        self._threads, self._counted_at = 0, -COUNT_SECONDS
         self._executor = self._client.get_executor(pure=False)
 
     def count(self) -> int:
-        return sum(self._client.nthreads().values())
+        if time.monotonic() - self._counted_at > COUNT_SECONDS:
+            try:
+                self._threads = sum(self._client.nthreads().values())
+            except OSError as error:
+                raise self._lost() from error
+            self._counted_at = time.monotonic()
+        return self._threads
 
     def submit(self, plan: Plan, tile: Tile) -> Future[Tile]:
         return _submit(self._executor, plan, tile)
@@ -157,7 +168,10 @@ class _Cluster:
         try:
             return share.result()
         except CancelledError as error:
-            raise LostWorkers(f"the scheduler at {self._address} is gone") from error
+            raise self._lost() from error
+
+    def _lost(self) -> LostWorkers:
+        return LostWorkers(f"the Dask scheduler at {self._address} is gone")
 
     def close(self) -> None:
         self._client.close(timeout=CONNECT_SECONDS)

@@ -21,8 +21,9 @@ from server.experiments import Curves, Interrupted, Plan, open_workers, run_all
 from server.figures.order import Order
 from server.figures.sheet import Origin, Sheet, save
 from server.terminal import InputError, check_writable, reason
+from server.train import announced_on_terminal
 
-_BAR = "figure {desc} {percentage:3.0f} %|{bar}| {elapsed} gone, {remaining} left"
+_BAR = "{desc} {percentage:3.0f} %|{bar}| {elapsed} gone, {remaining} left"
 _REDRAW_SECONDS, _LOG_SECONDS = 0.2, 15.0
 """Between two states of the bar, on a terminal and in a file."""
 
@@ -53,11 +54,11 @@ def make(order: Order, stop: threading.Event) -> dict[str, Any] | None:
     None once `stop` was set: what was done is kept. Raises InputError, ValueError, TaskError and
     OSError for what the user can mend.
     """
-    _prepare(order.out)
+    prepare_folder(order.out)
     began = time.perf_counter()
     folder = unfinished(order)
     try:
-        with _progress(order.name) as progress:
+        with progress_bar(f"figure {order.name}") as progress:
             sheet = draw(order, Work(folder, stop, progress, order.scheduler))
     except Interrupted:
         return None
@@ -71,7 +72,8 @@ def make(order: Order, stop: threading.Event) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def _prepare(folder: Path) -> None:
+def prepare_folder(folder: Path) -> None:
+    """Make the folder for results; raises InputError if nothing can be written there."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -82,8 +84,9 @@ def _prepare(folder: Path) -> None:
 
 
 def draw(order: Order, work: Work) -> Sheet:
-    """Run and draw it."""
-    sheet: Sheet = import_module(f"server.figures.{order.name}").make(order, work)
+    """Run and draw it, and say on a terminal if that begins with a minute of compiling."""
+    with announced_on_terminal():
+        sheet: Sheet = import_module(f"server.figures.{order.name}").make(order, work)
     return sheet
 
 
@@ -94,7 +97,7 @@ def unfinished(order: Order) -> Path:
 
 
 @contextlib.contextmanager
-def _progress(name: str) -> Iterator[Callable[[float], object]]:
+def progress_bar(name: str) -> Iterator[Callable[[float], object]]:
     """A bar on stderr with the time left, from the first fraction that is told."""
     bars: list[Any] = []
 

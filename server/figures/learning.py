@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from server import palette
@@ -15,10 +14,10 @@ from server.figures.curves import (
     setting,
     words_of,
 )
+from server.figures.length import Time, steps_of, time_of
 from server.figures.scales import Course, even_course
 from server.figures.sheet import IDLE, SMALL, Sheet, Table, blank, color, look
 from server.making import DEFAULT_TASK
-from server.terminal import InputError
 from sims.loading import make_task
 
 if TYPE_CHECKING:
@@ -31,21 +30,12 @@ if TYPE_CHECKING:
 _POINTS, _QUICK_POINTS = 100, 25
 
 
-@dataclass(frozen=True)
-class _Time:
-    """The axis of time: its name for figures and files, and how many steps its unit has."""
-
-    name: str
-    key: str
-    steps: float
-
-
 def make(order: Order, work: Work) -> Sheet:
     """Default 16 runs of 10⁶ steps; quick 3 of 20 000."""
     name = order.task or DEFAULT_TASK
     task = make_task(name, order.preset)
-    time = _time(order, task)
-    steps = _steps(order, time)
+    time = time_of(order, task)
+    steps = steps_of(order, task) or (20_000 if order.quick else 10**6)
     points = min(_QUICK_POINTS if order.quick else _POINTS, steps)
     plan = Plan(
         task=name, preset=order.preset, seed=order.seed,
@@ -62,30 +52,7 @@ def make(order: Order, work: Work) -> Sheet:
     return Sheet(figure, _table(task, time, course), numbers, note if order.quick else "")
 
 
-def _time(order: Order, task: Task) -> _Time:
-    """Epochs or steps where they were asked for or there is nothing else, else simulated time.
-
-    Raises InputError where the task has no such time.
-    """
-    if order.epochs is not None:
-        if task.epoch is None:
-            raise InputError(f"task {task.name!r} has no epochs: give --hours or --steps")
-        return _Time("epochs", "epoch", task.epoch)
-    if order.hours is not None and task.dt is None:
-        raise InputError(f"task {task.name!r} has no time but its steps: give --steps")
-    if task.dt is None or order.steps is not None:
-        return _Time("steps", "step", 1.0)
-    return _Time("simulated time, hours", "hours", 3600.0 / task.dt)
-
-
-def _steps(order: Order, time: _Time) -> int:
-    for length in (order.epochs, order.hours):
-        if length is not None:
-            return max(1, round(length * time.steps))
-    return order.steps or (20_000 if order.quick else 10**6)
-
-
-def _table(task: Task, time: _Time, course: Course) -> Table:
+def _table(task: Task, time: Time, course: Course) -> Table:
     key = task.measure.key
     return {
         "step": course.steps.tolist(),
@@ -97,7 +64,7 @@ def _table(task: Task, time: _Time, course: Course) -> Table:
     }  # fmt: skip
 
 
-def _draw(plan: Plan, task: Task, time: _Time, course: Course) -> Figure:
+def _draw(plan: Plan, task: Task, time: Time, course: Course) -> Figure:
     figure = blank(4.0)
     axes = figure.add_subplot()
     times = course.steps / time.steps
