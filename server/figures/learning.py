@@ -14,7 +14,7 @@ from server.figures.curves import (
     setting,
     words_of,
 )
-from server.figures.length import Time, steps_of, time_of
+from server.figures.length import Time, cut, steps_of, time_of
 from server.figures.scales import Course, even_course
 from server.figures.sheet import IDLE, SMALL, Sheet, Table, blank, color, look
 from server.making import DEFAULT_TASK
@@ -36,11 +36,11 @@ def make(order: Order, work: Work) -> Sheet:
     task = make_task(name, order.preset)
     time = time_of(order, task)
     steps = steps_of(order, task) or (20_000 if order.quick else 10**6)
-    points = min(_QUICK_POINTS if order.quick else _POINTS, steps)
+    segments, segment_steps = cut(steps, _QUICK_POINTS if order.quick else _POINTS)
     plan = Plan(
         task=name, preset=order.preset, seed=order.seed,
-        lanes=order.lanes or (3 if order.quick else 16), segments=points,
-        segment_steps=-(-steps // points),
+        lanes=order.lanes or (3 if order.quick else 16), segments=segments,
+        segment_steps=segment_steps,
     )  # fmt: skip
     (curves,) = work.curves([plan])
     course = even_course(task, curves)

@@ -24,6 +24,7 @@ from server.figures.curves import (
     setting,
     words_of,
 )
+from server.figures.length import cut
 from server.figures.scales import Course, course, scales
 from server.figures.sheet import IDLE, INK, SMALL, TINY, Sheet, Table, blank, color, look
 from sims.pendulum import Pendulum
@@ -97,10 +98,10 @@ def _seconds(order: Order, preset: str) -> float:
 
 def _plans(preset: str, seconds: float, lanes: int, seed: int) -> list[Plan]:
     steps = max(1, round(seconds / PLANT.time_step))
-    segments = min(_SEGMENTS, steps)
+    segments, segment_steps = cut(steps, _SEGMENTS)
     whole = Plan(
         task="pendulum", preset=preset, seed=seed, lanes=lanes, segments=segments,
-        segment_steps=-(-steps // segments),
+        segment_steps=segment_steps,
     )  # fmt: skip
     whole.make_task()
     return scales(whole, first=_SEGMENTS * _FIRST // 10)
