@@ -19,7 +19,7 @@ import sys
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from server.making import make_learner, saved_task, task_name
 from server.options import parse
@@ -37,6 +37,7 @@ from server.terminal import (
 )
 
 if TYPE_CHECKING:
+    import threading
     from collections.abc import Sequence
 
     from hebbviz.learner import Learner
@@ -299,32 +300,59 @@ def _save(args: argparse.Namespace, learner: Learner) -> str | None:
     return f"saved in {path}"
 
 
-# Figures
+# Figures and maps
 
 
 def figure(args: argparse.Namespace) -> int:
     """Make one of the paper's figures."""
-    from server.figures.command import make, unfinished
-    from server.figures.order import Order
+
+    def work(stop: threading.Event) -> dict[str, Any] | None:
+        from server.figures.command import make
+        from server.figures.order import Order
+
+        return make(Order.of(args), stop)
+
+    return _experiment(args, work)
+
+
+def sweep(args: argparse.Namespace) -> int:
+    """Map β against γ."""
+
+    def work(stop: threading.Event) -> dict[str, Any] | None:
+        from server.sweep.command import make
+        from server.sweep.grid import Sweep
+
+        return make(Sweep.of(args), args.out, stop, scheduler=args.scheduler)
+
+    return _experiment(args, work)
+
+
+def _experiment(
+    args: argparse.Namespace, work: Callable[[threading.Event], dict[str, Any] | None]
+) -> int:
+    """Do a long work and print what it comes to; `work` returns None if it was stopped."""
+    from server.experiments import LostWorkers
     from server.interrupts import Interrupts
 
+    kept = f"the same command goes on from what is kept in {args.out}"
     with Interrupts() as interrupts:
         try:
             with user_can_mend(args):
-                order = Order.of(args)
-                made = make(order, interrupts.stop)
+                made = work(interrupts.stop)
+        except LostWorkers as error:
+            return fail(FAILED, f"{error}; {kept}")
         except KeyboardInterrupt:
-            tell("stopped at once; the same command goes on from what was kept")
+            tell(f"stopped at once; {kept}")
             _leave(128 + (interrupts.number or signal.SIGINT))
     if made is None:
-        tell(f"stopped; the same command goes on from what is kept in {unfinished(order)}")
+        tell(f"stopped; {kept}")
         return 128 + (interrupts.number or signal.SIGINT)
     say(json.dumps(made, allow_nan=False))
     return FINE
 
 
 COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
-    c.__name__: c for c in (serve, train, replay, view, inspect, export, figure)
+    c.__name__: c for c in (serve, train, replay, view, inspect, export, figure, sweep)
 }
 
 

@@ -144,7 +144,7 @@ class _Driver:
         room = max(1, self._workers.count()) - len(self._running)
         for _ in range(min(room, len(self._waiting))):
             k, tile = self._waiting.popleft()
-            self._running[self._workers.submit(self._plans[k], tile)] = k
+            self._running[self._workers.submit(self._plans[k].for_workers(), tile)] = k
 
     def _take(self, k: int, tile: Tile) -> None:
         self._tiles[k][tile.first_lane] = tile

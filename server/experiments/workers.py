@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import (
+    BrokenExecutor,
     CancelledError,
     Executor,
     Future,
@@ -86,7 +87,10 @@ class _Cores:
         return _submit(self._executors[threads], plan, tile)
 
     def result(self, share: Future[Tile]) -> Tile:
-        return share.result()
+        try:
+            return share.result()
+        except BrokenExecutor as error:
+            raise LostWorkers("a process that did a share of the work died") from error
 
     def close(self) -> None:
         for executor in self._executors.values():

@@ -59,5 +59,7 @@ def steps_of(asked: Asked, task: Task) -> int | None:
     """What was asked for in steps; None if nothing was."""
     for length in (asked.epochs, asked.hours):
         if length is not None:
+            if length <= 0:
+                raise InputError(f"a run must be longer than nothing, got {length:g}")
             return max(1, round(length * time_of(asked, task).steps))
     return asked.steps

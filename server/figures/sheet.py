@@ -14,6 +14,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
@@ -35,6 +36,8 @@ SMALL, TINY = 7.5, 6.0
 """Points."""
 _MARGIN, _FOOT = 0.12, 0.34
 """Inches: around the drawing, and for the lines at its foot."""
+_LINE = 150
+"""Letters of the small print that have room; the whole of a longer command is inside the files."""
 
 
 def color(rgb: Rgb) -> Color:
@@ -147,7 +150,8 @@ def _settle(figure: Figure) -> None:
 
 def _small_print(figure: Figure, origin: Origin, note: str) -> None:
     width, height = figure.get_size_inches()
-    line = f"{origin.command}  ·  hebbviz {origin.version}  ·  seed {origin.seed}"
+    about = f"  ·  hebbviz {origin.version}  ·  seed {origin.seed}"
+    line = shorten(origin.command, _LINE - len(about), placeholder=" …") + about
     for row, text in enumerate((line, note)):
         figure.text(
             _MARGIN / width, (0.08 + 0.13 * row) / height, text, fontsize=TINY,
