@@ -201,14 +201,10 @@ def train(args: argparse.Namespace) -> int:
 
     is_watched = sys.stderr.isatty()
 
-    def say() -> None:
-        if is_watched:
-            tell("compiling for this machine, only this first time")
-
     def prepare() -> tuple[Learner, Steps]:
-        from server.train import announced_compiling, warm_up
+        from server.train import announced_on_terminal, warm_up
 
-        with announced_compiling(say):
+        with announced_on_terminal():
             learner = make_learner(args)
             warm_up(learner)
             return learner, _recorded(args, learner)

@@ -172,6 +172,13 @@ def _number(name: str) -> Callable[[str], float]:
     return parse
 
 
+def _hours(text: str) -> float:
+    hours = _number("hours")(text)
+    if hours <= 0.0:
+        raise argparse.ArgumentTypeError(f"hours must be above 0, got {text!r}")
+    return hours
+
+
 def _speed(text: str) -> Speed:
     if text in ("realtime", "max"):
         return text
@@ -350,7 +357,7 @@ def _add_length(parser: argparse.ArgumentParser, *, default: str = "the figure's
         help="length of each run, for tasks with a training set",
     )  # fmt: skip
     length.add_argument(
-        "--hours", type=_number("hours"), metavar="H",
+        "--hours", type=_hours, metavar="H",
         help="length of each run in simulated hours, for tasks with a time step",
     )  # fmt: skip
     length.add_argument(

@@ -33,6 +33,7 @@ PIL = pytest.importorskip("PIL.Image")
 ROOT = Path(__file__).parents[1]
 LEVER = f"{ROOT / 'tests' / 'examples' / 'lever.py'}:Lever"
 PATIENCE = 120.0
+DUBLIN_CORE = "{http://purl.org/dc/elements/1.1/}"
 
 SMALL = {
     "synapse": "",
@@ -112,9 +113,7 @@ def test_three_files_are_written_and_say_by_what_they_were_made(made, name):
         image.load()
         assert image.width > 1000
         assert {k: image.text[k.title()] for k in told} == told
-    description = ET.parse(figure.file("svg")).find(
-        ".//{http://purl.org/dc/elements/1.1/}description"
-    )
+    description = ET.parse(figure.file("svg")).find(f".//{DUBLIN_CORE}description")
     assert description is not None
     assert description.text == "; ".join(f"{k}: {v}" for k, v in told.items())
     assert figure.says["version"] == hebbviz.__version__
@@ -177,9 +176,8 @@ def test_gradient_shows_the_angles_of_real_learners_and_of_the_exact_chain(made)
 
 
 def test_angles_are_those_between_vectors():
-    found = angles(
-        np.array([[1.0, 0.0, -2.0, 1.0, 0.0], [0.0, 3.0, 0.0, 1.0, 0.0]]), np.array([1.0, 0.0])
-    )
+    estimates = np.array([[1.0, 0.0, -2.0, 1.0, 0.0], [0.0, 3.0, 0.0, 1.0, 0.0]])
+    found = angles(estimates, np.array([1.0, 0.0]))
     np.testing.assert_allclose(found, [0.0, 90.0, 180.0, 45.0, 90.0], atol=1e-12)
 
 

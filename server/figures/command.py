@@ -21,6 +21,7 @@ from server.experiments import Curves, Interrupted, Plan, open_workers, run_all
 from server.figures.order import Order
 from server.figures.sheet import Origin, Sheet, save
 from server.terminal import InputError, check_writable, reason
+from server.train import announced_on_terminal
 
 _BAR = "{desc} {percentage:3.0f} %|{bar}| {elapsed} gone, {remaining} left"
 _REDRAW_SECONDS, _LOG_SECONDS = 0.2, 15.0
@@ -83,8 +84,9 @@ def prepare_folder(folder: Path) -> None:
 
 
 def draw(order: Order, work: Work) -> Sheet:
-    """Run and draw it."""
-    sheet: Sheet = import_module(f"server.figures.{order.name}").make(order, work)
+    """Run and draw it, and say on a terminal if that begins with a minute of compiling."""
+    with announced_on_terminal():
+        sheet: Sheet = import_module(f"server.figures.{order.name}").make(order, work)
     return sheet
 
 

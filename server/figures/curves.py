@@ -53,8 +53,21 @@ def lane_columns(name: str, values: NDArray[Any]) -> dict[str, list[Any]]:
     return {f"{name}_{k}": lane.tolist() for k, lane in enumerate(values)}
 
 
-def draw_course(axes: Axes, times: Array, course: Course, shade: Color) -> None:
-    """Each run faint, the median bold; a dot where most runs are at least there."""
+def course_columns(measure: Measure, course: Course) -> dict[str, list[Any]]:
+    """The median and each lane's values, and where those are a lower bound only."""
+    return {
+        f"{measure.key}_median": course.median.tolist(),
+        **lane_columns(measure.key, course.values),
+        **lane_columns("is_lower_bound", course.is_bound.astype(int)),
+    }
+
+
+def draw_course(axes: Axes, course: Course, step: float, shade: Color) -> None:
+    """Each run faint, the median bold; a dot where most runs are at least there.
+
+    `step` is the time of a step on the horizontal axis.
+    """
+    times = course.steps * step
     axes.plot(times, course.values.T, color=shade, lw=0.7, alpha=0.35)
     axes.plot(times, course.median, color=shade, lw=2.2)
     bound = course.is_bound.mean(axis=0) >= 0.5
@@ -68,7 +81,8 @@ def set_measure_axis(axes: Axes, measure: Measure) -> None:
     if measure.logarithmic:
         axes.set_yscale("log")
     if measure.span is not None:
-        axes.set_ylim(*measure.span)
+        low, high = measure.span
+        axes.set_ylim(low, max(high, axes.dataLim.y1))
 
 
 def outcome(task: Task, course: Course, curves: Curves) -> dict[str, Any]:

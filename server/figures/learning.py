@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 from server import palette
 from server.experiments import Plan
 from server.figures.curves import (
+    course_columns,
     draw_course,
-    lane_columns,
     outcome,
     set_measure_axis,
     setting,
     words_of,
 )
-from server.figures.length import Time, steps_of, time_of
+from server.figures.length import Time, cut, steps_of, time_of
 from server.figures.scales import Course, even_course
 from server.figures.sheet import IDLE, SMALL, Sheet, Table, blank, color, look
 from server.making import DEFAULT_TASK
@@ -36,11 +36,11 @@ def make(order: Order, work: Work) -> Sheet:
     task = make_task(name, order.preset)
     time = time_of(order, task)
     steps = steps_of(order, task) or (20_000 if order.quick else 10**6)
-    points = min(_QUICK_POINTS if order.quick else _POINTS, steps)
+    segments, segment_steps = cut(steps, _QUICK_POINTS if order.quick else _POINTS)
     plan = Plan(
         task=name, preset=order.preset, seed=order.seed,
-        lanes=order.lanes or (3 if order.quick else 16), segments=points,
-        segment_steps=-(-steps // points),
+        lanes=order.lanes or (3 if order.quick else 16), segments=segments,
+        segment_steps=segment_steps,
     )  # fmt: skip
     (curves,) = work.curves([plan])
     course = even_course(task, curves)
@@ -53,25 +53,20 @@ def make(order: Order, work: Work) -> Sheet:
 
 
 def _table(task: Task, time: Time, course: Course) -> Table:
-    key = task.measure.key
     return {
         "step": course.steps.tolist(),
         **({} if time.key == "step" else {time.key: (course.steps / time.steps).tolist()}),
-        f"{key}_median": course.median.tolist(),
-        **lane_columns(key, course.values),
-        **{f"is_lower_bound_{k}": lane.astype(int).tolist()
-           for k, lane in enumerate(course.is_bound)},
+        **course_columns(task.measure, course),
     }  # fmt: skip
 
 
 def _draw(plan: Plan, task: Task, time: Time, course: Course) -> Figure:
     figure = blank(4.0)
     axes = figure.add_subplot()
-    times = course.steps / time.steps
     about = f"{plan.lanes} runs, preset {task.preset_name}: {words_of(plan)}"
-    draw_course(axes, times, course, color(palette.BRAND))
+    draw_course(axes, course, 1.0 / time.steps, color(palette.BRAND))
     set_measure_axis(axes, task.measure)
-    axes.set(xlim=(0, times[-1]), xlabel=time.name)
+    axes.set(xlim=(0, plan.steps / time.steps), xlabel=time.name)
     axes.set_title(f"{task.name}: {task.summary or 'learning'}")
     axes.set_title(about, loc="right", fontsize=SMALL, fontweight="normal", color=IDLE)
     return figure

@@ -47,6 +47,14 @@ def time_of(asked: Asked, task: Task) -> Time:
     return Time("simulated time, hours", "hours", 3600.0 / task.dt)
 
 
+def cut(length: int, about: int) -> tuple[int, int]:
+    """About so many equal pieces of it: how many, and how long. Together they are as near to
+    `length` as can be with pieces that long.
+    """
+    piece = max(1, round(length / about))
+    return max(1, round(length / piece)), piece
+
+
 def steps_of(asked: Asked, task: Task) -> int | None:
     """What was asked for in steps; None if nothing was."""
     for length in (asked.epochs, asked.hours):

@@ -15,22 +15,23 @@ from numpy.typing import NDArray
 
 from hebbviz.chance import NEXT_EPISODE, Draws
 from server import palette
-from server.experiments import Plan
+from server.experiments import Curves, Plan
 from server.figures.curves import (
+    course_columns,
     draw_course,
-    lane_columns,
     outcome,
     set_measure_axis,
     setting,
     words_of,
 )
+from server.figures.length import cut
 from server.figures.scales import Course, course, scales
 from server.figures.sheet import IDLE, INK, SMALL, TINY, Sheet, Table, blank, color, look
 from sims.pendulum import Pendulum
 from sims.pendulum_physics import PLANT
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -58,33 +59,45 @@ _EPISODES, _QUICK_EPISODES = 1000, 200
 _COLORS = {"quick": 5, "raw": 2, "paper": 4, "literal": 3}
 
 
+@dataclass(frozen=True)
+class _Curve:
+    """What came of a preset: the longest of its plans, and all of them together."""
+
+    plan: Plan
+    whole: Curves
+    course: Course
+
+
 def make(order: Order, work: Work) -> Sheet:
     """Default 16 runs of every preset, for as long as each needs; quick 3 short ones."""
     presets = [order.preset] if order.preset else list(SECONDS)
     lanes = order.lanes or (3 if order.quick else 16)
     plans = [_plans(preset, _seconds(order, preset), lanes, order.seed) for preset in presets]
     baselines = measured_baselines(order.seed, _QUICK_EPISODES if order.quick else _EPISODES)
-    found = iter(work.curves([p for scale in plans for p in scale]))
-    curves = {
-        preset: [next(found) for _ in scale] for preset, scale in zip(presets, plans, strict=True)
-    }
-    courses = {
-        preset: course(Pendulum(preset), scale, first=_FIRST, per_decade=_PER_DECADE)
-        for preset, scale in curves.items()
-    }
-    longest = [scale[-1] for scale in plans]
+    found = iter(work.curves([plan for scale in plans for plan in scale]))
+    curves = [_curve(scale, [next(found) for _ in scale]) for scale in plans]
     with look():
-        figure = _draw(longest, courses, baselines)
-    numbers: dict[str, Any] = {"lanes": lanes, **baselines, "presets": {}}
-    for plan, preset in zip(longest, presets, strict=True):
-        numbers["presets"][preset] = {
-            **setting(plan), "simulated_s": plan.steps * PLANT.time_step,
-            **outcome(plan.make_task(), courses[preset], curves[preset][-1]),
-        }  # fmt: skip
-    if "literal" in presets:
-        numbers["literal_says"] = WHY_FLAT.replace("\n", " ")
+        figure = _draw(curves, baselines)
     note = f"quick: {lanes} short runs in place of 16 runs of up to 10⁷ simulated seconds"
-    return Sheet(figure, _table(courses), numbers, note if order.quick else "")
+    return Sheet(figure, _table(curves), _numbers(curves, baselines), note if order.quick else "")
+
+
+def _curve(scale: Sequence[Plan], found: Sequence[Curves]) -> _Curve:
+    plan = scale[-1]
+    shown = course(plan.make_task(), found, first=_FIRST, per_decade=_PER_DECADE)
+    return _Curve(plan, found[-1], shown)
+
+
+def _numbers(curves: Sequence[_Curve], baselines: dict[str, float]) -> dict[str, Any]:
+    presets = {
+        c.plan.preset: {
+            **setting(c.plan), "simulated_s": c.plan.steps * PLANT.time_step,
+            **outcome(c.plan.make_task(), c.course, c.whole),
+        }
+        for c in curves
+    }  # fmt: skip
+    says = {"literal_says": WHY_FLAT.replace("\n", " ")} if "literal" in presets else {}
+    return {"lanes": curves[0].plan.lanes, **baselines, "presets": presets, **says}
 
 
 def _seconds(order: Order, preset: str) -> float:
@@ -97,10 +110,10 @@ def _seconds(order: Order, preset: str) -> float:
 
 def _plans(preset: str, seconds: float, lanes: int, seed: int) -> list[Plan]:
     steps = max(1, round(seconds / PLANT.time_step))
-    segments = min(_SEGMENTS, steps)
+    segments, segment_steps = cut(steps, _SEGMENTS)
     whole = Plan(
         task="pendulum", preset=preset, seed=seed, lanes=lanes, segments=segments,
-        segment_steps=-(-steps // segments),
+        segment_steps=segment_steps,
     )  # fmt: skip
     whole.make_task()
     return scales(whole, first=_SEGMENTS * _FIRST // 10)
@@ -152,37 +165,38 @@ _LINES = (
 )
 
 
-def _draw(plans: list[Plan], courses: dict[str, Course], baselines: dict[str, float]) -> Figure:
-    rows, last = -(-len(plans) // 2), max(p.steps for p in plans) * PLANT.time_step
-    figure = blank(0.7 + 2.75 * rows if len(plans) > 1 else 4.2)
-    grid = figure.subplots(rows, min(2, len(plans)), sharex=True, sharey=True, squeeze=False)
-    for axes, plan, found in zip(grid.flat, plans, courses.values(), strict=False):
-        _panel(axes, plan, found, baselines)
+def _draw(curves: Sequence[_Curve], baselines: dict[str, float]) -> Figure:
+    rows = -(-len(curves) // 2)
+    figure = blank(0.7 + 2.75 * rows if len(curves) > 1 else 4.2)
+    grid = figure.subplots(rows, min(2, len(curves)), sharex=True, sharey=True, squeeze=False)
+    for axes, curve in zip(grid.flat, curves, strict=False):
+        _panel(axes, curve, baselines)
     for axes in grid[:, -1]:
         _name_lines(axes, baselines)
     for axes in grid[-1]:
         axes.set_xlabel("simulated time, s")
     for axes in grid[:, 0]:
         set_measure_axis(axes, Pendulum.measure)
+    last = max(c.plan.steps for c in curves) * PLANT.time_step
     grid[0, 0].set(ylim=(0.15, 3e4), xlim=(min(_FIRST * PLANT.time_step, last / 100.0), last))
     figure.suptitle(
-        f"Pendulum: time to fall, {plans[0].lanes} runs each, the median bold", x=0.015, ha="left",
-        fontsize=9.5, fontweight="bold",
+        f"Pendulum: time to fall, {curves[0].plan.lanes} runs each, the median bold",
+        x=0.015, ha="left", fontsize=9.5, fontweight="bold",
     )  # fmt: skip
     return figure
 
 
-def _panel(axes: Axes, plan: Plan, found: Course, baselines: dict[str, float]) -> None:
-    times = np.asarray(found.steps * PLANT.time_step, dtype=np.float64)
-    shade = color(palette.SERIES[_COLORS.get(str(plan.preset), 5)])
+def _panel(axes: Axes, curve: _Curve, baselines: dict[str, float]) -> None:
+    preset = str(curve.plan.preset)
+    shade = color(palette.SERIES[_COLORS.get(preset, 5)])
     for line in _LINES:
         axes.axhline(baselines[line.key], color=IDLE, lw=0.9, ls=(0, line.dashes), zorder=1)
-    draw_course(axes, times, found, shade)
+    draw_course(axes, curve.course, PLANT.time_step, shade)
     axes.set_xscale("log")
-    gains = ", ".join(f"{g:g}" for g in Pendulum(plan.preset).preset.options["gains"])
-    axes.set_title(f"preset {plan.preset}", color=shade)
-    words = f"{words_of(plan)}\ninput gains {gains}"
-    if plan.preset == "literal":
+    axes.set_title(f"preset {preset}", color=shade)
+    gains = ", ".join(f"{i.gain:g}" for i in curve.plan.make_task().inputs[::2])
+    words = f"{words_of(curve.plan)}\ninput gains {gains}"
+    if preset == "literal":
         words += f"\n\n{WHY_FLAT}"
     axes.text(0.03, 0.96, words, transform=axes.transAxes, va="top", fontsize=SMALL, color=INK,
               linespacing=1.35)  # fmt: skip
@@ -196,15 +210,13 @@ def _name_lines(axes: Axes, baselines: dict[str, float]) -> None:
                       fontsize=TINY, color=IDLE, va=line.side, annotation_clip=False)  # fmt: skip
 
 
-def _table(courses: dict[str, Course]) -> Table:
+def _table(curves: Sequence[_Curve]) -> Table:
     columns: dict[str, list[Any]] = {}
-    for preset, c in courses.items():
+    for c in curves:
         part = {
-            "preset": [preset] * len(c.steps),
-            "simulated_s": (c.steps * PLANT.time_step).tolist(),
-            f"{Pendulum.measure.key}_median": c.median.tolist(),
-            **lane_columns(Pendulum.measure.key, c.values),
-            **lane_columns("is_lower_bound", c.is_bound.astype(int)),
+            "preset": [c.plan.preset] * len(c.course.steps),
+            "simulated_s": (c.course.steps * PLANT.time_step).tolist(),
+            **course_columns(Pendulum.measure, c.course),
         }
         for name, values in part.items():
             columns.setdefault(name, []).extend(values)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from server import palette
 from server.experiments import Curves, Plan
 from server.figures.curves import lane_columns, setting, words_of
+from server.figures.length import cut
 from server.figures.sheet import INK, SMALL, Sheet, Table, blank, color, look, mark_end
 from sims.sonar import Sonar
 
@@ -50,13 +51,12 @@ _FULL, _QUICK = _Size("paper", 100, 2000), _Size("quick", 6, 20)
 
 
 def make(order: Order, work: Work) -> Sheet:
-    """Errors at about 50 times; the epochs are rounded up for these to be equally far apart."""
+    """Errors at about 50 times, which are equally far apart."""
     size = _QUICK if order.quick else _FULL
-    epochs = order.epochs or size.epochs
-    every = -(-epochs // _EVALUATIONS)
+    segments, epochs = cut(order.epochs or size.epochs, _EVALUATIONS)
     plan = Plan(
         task="sonar", preset=order.preset or size.preset, seed=order.seed,
-        lanes=order.lanes or size.lanes, segments=-(-epochs // every), segment_steps=every * EPOCH,
+        lanes=order.lanes or size.lanes, segments=segments, segment_steps=epochs * EPOCH,
         evaluate=1,
     )  # fmt: skip
     plan.make_task()
