@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,15 @@ class Keyframe:
     gamma: Array
     frozen: bool
 
+    def lane(self, lane: int) -> Keyframe:
+        """One of the lanes alone: the last axis of every array is the lane."""
+        alone: dict[str, Any] = {
+            name: value[..., lane : lane + 1].copy()
+            for name, value in vars(self).items()
+            if isinstance(value, np.ndarray)
+        }
+        return replace(self, **alone)
+
     def digest(self) -> str:
         """SHA-256 of all of it, bit for bit, as 64 hexadecimal digits."""
         digest = hashlib.sha256(f"{self.step} {self.frozen}".encode())
@@ -37,12 +47,6 @@ class Keyframe:
             digest.update(f" {array.shape} ".encode())
             digest.update(array.astype("<f8").tobytes())
         return digest.hexdigest()
-
-    def lane(self, lane: int) -> Keyframe:
-        """One of its lanes, from which that lane alone is made again."""
-        one = slice(lane, lane + 1)
-        network, world, gamma = (a[:, one].copy() for a in (self.network, self.world, self.gamma))
-        return Keyframe(self.step, network, world, gamma, self.frozen)
 
 
 @dataclass(frozen=True)

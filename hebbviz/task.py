@@ -162,6 +162,8 @@ class Task:
     presets: ClassVar[Mapping[str, Preset]]
     dt: ClassVar[float | None] = None
     """Seconds that a step lasts; None for a task that has no time but its steps."""
+    epoch: ClassVar[int | None] = None
+    """Steps of one pass over a training set; None for a task that has none."""
     hidden: ClassVar[tuple[int, ...]] = (8,)
     activity: ClassVar[Activity] = SYMMETRIC
     weight_range: ClassVar[float] = 0.1

@@ -21,6 +21,7 @@ from server.recording.status import Status
 from server.run import Run
 from server.stretches import stretches
 from server.tape import Pace
+from server.terminal import tell
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -68,6 +69,18 @@ class _Announcement(event.Listener):
 def announced_compiling(say: Callable[[], None]) -> Iterator[None]:
     """Call `say` once if numba compiles something in here: what it has on disk is only loaded."""
     with event.install_listener("numba:compile", _Announcement(say)):
+        yield
+
+
+@contextlib.contextmanager
+def announced_on_terminal() -> Iterator[None]:
+    """`announced_compiling` on stderr, if that is a terminal."""
+
+    def say() -> None:
+        if sys.stderr.isatty():
+            tell("compiling for this machine, only this first time")
+
+    with announced_compiling(say):
         yield
 
 

@@ -113,6 +113,7 @@ class Sonar(CompiledTask):
     hidden = (8,)
     weight_range = 0.1
     measure = Measure("error while learning", "error", "%", span=(0.0, 60.0))
+    epoch = TRAINING * HOLD
     frozen_figures = ("training_error", "test_error")
     readings = (
         Reading("pattern", steps=True), Reading("class", "mine 1, rock -1", steps=True),

@@ -6,7 +6,10 @@ goes on from there. What comes of it are `Curves`.
 """
 
 from server.experiments.plan import Curves, Plan
-from server.experiments.run import Interrupted, run, run_all
-from server.experiments.workers import Workers, open_workers
+from server.experiments.run import Done, Interrupted, finish, run, run_all
+from server.experiments.workers import LostWorkers, Workers, open_workers
 
-__all__ = ["Curves", "Interrupted", "Plan", "Workers", "open_workers", "run", "run_all"]
+__all__ = [
+    "Curves", "Done", "Interrupted", "LostWorkers", "Plan", "Workers", "finish", "open_workers",
+    "run", "run_all",
+]  # fmt: skip

@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,8 @@ class Plan:
 
     Parameters
     ----------
-    task, preset : by name, or a user's own as path.py:Name, found at the same path by all workers.
+    task, preset : by name, or a user's own as path.py:Name, which workers elsewhere look for at
+        the same whole path.
     hidden, beta, gamma : None for those of the task and its preset.
     lanes : how many replicas, from number `first_lane` on.
     segments, segment_steps : points of the curve, and steps of each.
@@ -72,6 +73,13 @@ class Plan:
             first_lane=first_lane, lanes=lanes, **self.options,
         )  # fmt: skip
 
+    def for_workers(self) -> Self:
+        """This plan with the whole path of a user's own task, for workers in other folders."""
+        file, colon, name = self.task.rpartition(":")
+        if not file.endswith(".py"):
+            return self
+        return replace(self, task=f"{Path(file).resolve()}{colon}{name}")
+
     def evaluates_at(self, step: int) -> bool:
         """Whether a frozen copy is evaluated at this step, which is the end of a segment, or 0."""
         return self.evaluate > 0 and step % (self.evaluate * self.segment_steps) == 0
@@ -80,13 +88,14 @@ class Plan:
         return asdict(self)
 
     def digest(self) -> str:
-        """Tells this plan from all others, under this version and with this text of a user's task.
+        """Tells this plan from all others, under this version and with this text of a user's task,
+        wherever its file is.
 
-        Raises OSError if the file of a user's own task cannot be read.
+        Raises OSError if that file cannot be read.
         """
-        file, _, _ = self.task.rpartition(":")
-        own = Path(file).read_text() if file.endswith(".py") else ""
-        content = json.dumps([hebbviz.__version__, self.to_json(), own], sort_keys=True)
+        file, _, name = self.task.rpartition(":")
+        task = [name, Path(file).read_text() if file.endswith(".py") else ""]
+        content = json.dumps([hebbviz.__version__, self.to_json() | {"task": task}], sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()[:16]
 
 

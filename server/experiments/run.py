@@ -10,17 +10,16 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-import hebbviz
+from hebbviz.learner import Learner
 from server.experiments.plan import Curves, Plan, joined
-from server.experiments.share import Tile, bring_on
+from server.experiments.share import Tile
 from server.experiments.store import Store
 from server.experiments.workers import Workers
 
-SHARE_SECONDS = 3.0
-"""How long a worker is busy with a share: what a kill may cost, and Ctrl-C may take."""
 TILE = 64
 """Most lanes of a tile: the compiled loop is fastest with so many."""
 
@@ -66,9 +65,44 @@ def run_all(
     progress: Callable[[float], object] | None = None,
 ) -> list[Curves]:
     """`run` for several plans at once: the workers go from one to the next without a pause."""
+    return [
+        done.curves()
+        for done in finish(plans, workers, folder=folder, stop=stop, progress=progress)
+    ]
+
+
+def finish(
+    plans: Sequence[Plan],
+    workers: Workers,
+    *,
+    folder: Path | None = None,
+    stop: threading.Event | None = None,
+    progress: Callable[[float], object] | None = None,
+) -> list[Done]:
+    """`run_all`, for the learners at the end as well."""
     driver = _Driver(plans, workers, folder)
     driver.run(threading.Event() if stop is None else stop, progress or (lambda _: None))
-    return [joined([tile.curves(plan) for tile in tiles]) for plan, tiles in driver.done()]
+    return driver.done()
+
+
+@dataclass(frozen=True)
+class Done:
+    """A plan at its end."""
+
+    plan: Plan
+    tiles: tuple[Tile, ...]
+
+    def curves(self) -> Curves:
+        return joined([tile.curves(self.plan) for tile in self.tiles])
+
+    def learner(self, lane: int) -> Learner:
+        """A learner of one lane as it is at the end; the first lane of the plan is 0."""
+        number = self.plan.first_lane + lane
+        tile = next(t for t in self.tiles if t.first_lane <= number < t.first_lane + t.lanes)
+        assert tile.keyframe is not None
+        learner = self.plan.learner(number, 1)
+        learner.restore(tile.keyframe.lane(number - tile.first_lane))
+        return learner
 
 
 class _Driver:
@@ -96,11 +130,12 @@ class _Driver:
             elif not self._running:
                 raise Interrupted
             for share in wait(self._running, _LOOK_SECONDS, FIRST_COMPLETED).done:
-                self._take(self._running.pop(share), share.result())
+                self._take(self._running.pop(share), self._workers.result(share))
                 progress(self._fraction())
 
-    def done(self) -> list[tuple[Plan, list[Tile]]]:
-        return [(plan, list(t.values())) for plan, t in zip(self._plans, self._tiles, strict=True)]
+    def done(self) -> list[Done]:
+        tiles = (tuple(t.values()) for t in self._tiles)
+        return [Done(*found) for found in zip(self._plans, tiles, strict=True)]
 
     def _submit(self) -> None:
         """As many shares as there are workers: one that waits could not be told from a running one
@@ -109,10 +144,7 @@ class _Driver:
         room = max(1, self._workers.count()) - len(self._running)
         for _ in range(min(room, len(self._waiting))):
             k, tile = self._waiting.popleft()
-            share = self._workers.executor.submit(
-                bring_on, self._plans[k], tile, SHARE_SECONDS, hebbviz.__version__
-            )
-            self._running[share] = k
+            self._running[self._workers.submit(self._plans[k].for_workers(), tile)] = k
 
     def _take(self, k: int, tile: Tile) -> None:
         self._tiles[k][tile.first_lane] = tile

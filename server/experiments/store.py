@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +15,14 @@ from server.experiments.share import Tile
 
 FORMAT = 1
 PROGRAM = "hebbviz lanes"
-
-_KEYFRAME = tuple(f.name for f in fields(Keyframe))
+_KEYFRAME = "keyframe "
 
 
 class Store:
     """The tiles of a plan. Another plan, or another version, has another folder beside it."""
 
     def __init__(self, folder: Path, plan: Plan) -> None:
-        self._digest = plan.digest()
+        self._plan, self._digest = plan, plan.digest()
         self.folder = folder / f"{_class_name(plan.task)}-{self._digest}"
 
     def read(self) -> list[Tile]:
@@ -39,7 +38,7 @@ class Store:
             "program": PROGRAM, "format": FORMAT, "plan": self._digest,
             "first_lane": tile.first_lane, "lanes": tile.lanes, "figures": list(tile.figures),
         }  # fmt: skip
-        arrays = {f"keyframe {name}": getattr(tile.keyframe, name) for name in _KEYFRAME}
+        arrays = {_KEYFRAME + name: value for name, value in _numbers(tile.keyframe).items()}
         arrays |= {f"figure {k}": values for k, values in enumerate(tile.figures.values())}
         last = tile.first_lane + tile.lanes - 1
         path = self.folder / f"lanes-{tile.first_lane}-{last}.npz"
@@ -49,17 +48,24 @@ class Store:
         header, arrays = read_arrays(path, PROGRAM, FORMAT, what="part of an experiment")
         if header["plan"] != self._digest:
             raise BadFile(f"{path} is of another experiment: move it away")
-        keyframe = {name: _plain(arrays[f"keyframe {name}"]) for name in _KEYFRAME}
+        first, lanes = int(header["first_lane"]), int(header["lanes"])
+        kept: dict[str, Any] = {
+            name.removeprefix(_KEYFRAME): array if array.ndim else array.item()
+            for name, array in arrays.items()
+            if name.startswith(_KEYFRAME)
+        }
+        keyframe = replace(self._plan.learner(first, lanes).keyframe(), **kept)
         figures = {name: arrays[f"figure {k}"] for k, name in enumerate(header["figures"])}
-        return Tile(
-            int(header["first_lane"]), int(header["lanes"]), Keyframe(**keyframe),
-            arrays["totals"], figures,
-        )  # fmt: skip
+        return Tile(first, lanes, keyframe, arrays["totals"], figures)
 
 
-def _plain(array: np.ndarray[Any, Any]) -> Any:
-    """A number or a truth value for an array of no dimension."""
-    return array.item() if array.ndim == 0 else array
+def _numbers(keyframe: Keyframe) -> dict[str, Any]:
+    """All of a keyframe but what its plan says."""
+    return {
+        name: value
+        for name, value in vars(keyframe).items()
+        if isinstance(value, (bool, int, float, np.ndarray))
+    }
 
 
 def _class_name(task: str) -> str:
