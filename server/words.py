@@ -222,12 +222,11 @@ def speed(picture: Picture) -> str:
         asked = picture.speed if isinstance(picture.speed, str) else f"{picture.speed:g} steps/s"
         return f"the past is played at `{asked}`"
     reached = f"`{short(picture.steps_per_second)} steps/s`"
-    if picture.lanes > 1:
-        of_all = short(picture.steps_per_second * picture.lanes)
-        reached += f" × {picture.lanes} lanes = `{of_all} lane-steps/s`"
+    lanes, of_all = picture.lanes, short(picture.steps_per_second * picture.lanes)
+    all_lanes = f"; × {lanes} lanes = `{of_all} lane-steps/s`" if lanes > 1 else ""
     dt = picture.task.dt
     times = f" = {short(picture.steps_per_second * dt)} × real time" if dt else ""
-    return f"reached: {reached}{times}{time_of(picture.task, picture.live.step)}"
+    return f"reached: {reached}{times}{time_of(picture.task, picture.live.step)}{all_lanes}"
 
 
 def legend(frame: Frame, looks: Looks, drawn: int) -> str:
