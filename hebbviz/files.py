@@ -10,12 +10,13 @@ import json
 import math
 import os
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hebbviz.learner import Learner
 from hebbviz.limits import check_fall, fall_from_json, fall_to_json
@@ -30,6 +31,7 @@ FORMAT = 2
 the rule, and the steps over which γ falls.
 """
 PROGRAM = "hebbviz learner"
+WHAT = "learner saved by hebbviz"
 
 _ARRAYS = ("network", "world", "gamma")
 _MEMORY = "memory"
@@ -81,16 +83,7 @@ def save(learner: Learner, path: str | Path, *, task_name: str | None = None) ->
         header |= {"rule": str(keyframe.rule), "fall": fall_to_json(keyframe.fall)}
     names = (*_ARRAYS, _MEMORY) if keyframe.rule.memory else _ARRAYS
     arrays = {name: getattr(keyframe, name) for name in names}
-    part = target.with_name(f".{target.name}.{uuid.uuid4().hex}.part")
-    try:
-        with part.open("xb") as file:
-            np.savez(file, header=np.array(json.dumps(header)), **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(target)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
+    write_arrays(target, header, arrays)
     return target
 
 
@@ -117,33 +110,67 @@ def load(path: str | Path, make_task: Callable[[str, str], Task]) -> Learner:
     return learner
 
 
-def _read(path: Path) -> tuple[Header, dict[str, Any]]:
+def write_arrays(path: Path, header: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
+    """Write an npz of arrays and a header that JSON can say, under a temporary name, then renamed.
+
+    Raises OSError if the file cannot be written; an older file of that name is then as it was.
+    """
+    part = path.with_name(f".{path.name}.{uuid.uuid4().hex}.part")
+    try:
+        with part.open("xb") as file:
+            np.savez(file, header=np.array(json.dumps(header)), **arrays)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def read_arrays(
+    path: Path, program: str, newest: int, *, what: str
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Header and arrays of a file that `write_arrays` wrote for `program`, of format `newest` or
+    an older one; `what` it is, for the message.
+
+    Raises BadFile, with one line, for any other file and for a damaged one, and OSError.
+    """
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             if file.zip.testzip() is not None:  # reading stops short of the checksum if damaged
                 raise BadFile(f"{path} is damaged")
-            data = json.loads(str(file["header"]))
-            _check_origin(path, data)
-            header = _header(path, data)
-            arrays = {name: np.array(file[name], dtype=np.float64) for name in _ARRAYS}
-            kept = file[_MEMORY] if header.rule.memory else np.zeros((0, header.lanes))
-            arrays[_MEMORY] = np.array(kept, dtype=np.float64)
+            header = json.loads(str(file["header"]))
+            _check_origin(path, header, program, newest, what)
+            return header, {name: file[name] for name in file.files if name != "header"}
     except (OSError, BadFile):
         raise
     except Exception as error:  # a damaged file makes zipfile, numpy and json raise many kinds
-        raise BadFile(f"{path} is not a learner saved by hebbviz, or it is damaged") from error
+        raise BadFile(f"{path} is not a {what}, or it is damaged") from error
+
+
+def _read(path: Path) -> tuple[Header, dict[str, Any]]:
+    data, found = read_arrays(path, PROGRAM, FORMAT, what=WHAT)
+    try:
+        header = _header(path, data)
+        arrays = {name: np.array(found[name], dtype=np.float64) for name in _ARRAYS}
+        kept = found[_MEMORY] if header.rule.memory else np.zeros((0, header.lanes))
+        arrays[_MEMORY] = np.array(kept, dtype=np.float64)
+    except BadFile:
+        raise
+    except Exception as error:
+        raise BadFile(f"{path} is not a {WHAT}, or it is damaged") from error
     if any(a.ndim != 2 or a.shape[1] != header.lanes for a in arrays.values()):
         raise BadFile(f"{path} is damaged: an array has a wrong shape")
     return header, arrays
 
 
-def _check_origin(path: Path, data: Any) -> None:
-    if not isinstance(data, dict) or data.get("program") != PROGRAM:
-        raise BadFile(f"{path} is not a learner saved by hebbviz")
-    if not isinstance(data.get("format"), int) or data["format"] > FORMAT:
+def _check_origin(path: Path, header: Any, program: str, newest: int, what: str) -> None:
+    if not isinstance(header, dict) or header.get("program") != program:
+        raise BadFile(f"{path} is not a {what}")
+    if not isinstance(header.get("format"), int) or header["format"] > newest:
         raise BadFile(
-            f"{path} is of format {data.get('format')!r}, newer than this hebbviz knows "
-            f"({FORMAT}): update hebbviz"
+            f"{path} is of format {header.get('format')!r}, newer than this hebbviz knows "
+            f"({newest}): update hebbviz"
         )
 
 

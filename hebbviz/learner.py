@@ -30,6 +30,7 @@ from hebbviz.limits import (
     check_beta,
     check_fall,
     check_gamma,
+    check_lane,
     check_reward,
     check_steps,
 )
@@ -162,6 +163,12 @@ class Learner:
             self._run(check_steps(steps), NOBODY, _Notes.of(0, 0, None), np.zeros(0))
         finally:
             self._new_summary()
+
+    def skip_tallied(self, steps: int) -> list[Tally]:
+        """`skip`, and the totals of each lane over these steps."""
+        before = self.tallies()
+        self.skip(steps)
+        return [now - then for now, then in zip(self.tallies(), before, strict=True)]
 
     def _numbers_if(self, closely: bool) -> int | None:
         return len(self._lane_states()[self.watch]) if closely else None
@@ -325,6 +332,11 @@ class Learner:
         self._observed = seen
         rule.hold(self.network, self.layout.table, self._observed)
 
+    def look_at(self, lane: int) -> None:
+        """Choose the lane that Blocks and Frames show; the next Frame sums up from now."""
+        self.watch = check_lane(lane, self.lanes)
+        self._new_summary()
+
     def probe(self, synapses: Sequence[int]) -> None:
         """Choose the synapses whose least and greatest z Summaries tell, from the next one on."""
         for synapse in synapses:
@@ -388,12 +400,23 @@ class Learner:
     @property
     def world(self) -> Array:
         """The state of the task, (numbers, lanes)."""
-        return np.stack(self._lane_states(), axis=1)
+        if isinstance(self.task, CompiledTask):
+            return self._world.copy()
+        return np.stack(self._states, axis=1)
+
+    @property
+    def totals(self) -> Array:
+        """Reward of the task, reward broadcast, episodes ended since the start, (3, lanes)."""
+        return self._section("tally").copy()
 
     def tally(self, lane: int | None = None) -> Tally:
         """Totals since the start, of one lane (default the watched one)."""
         totals = self._section("tally")[:, self.watch if lane is None else lane]
         return Tally(self.step, *(float(x) for x in totals))
+
+    def tallies(self) -> list[Tally]:
+        """Totals since the start, of each lane."""
+        return [self.tally(lane) for lane in range(self.lanes)]
 
     def set_weights(self, weights: Array) -> None:
         """Put (synapses, lanes) weights in place of the present ones; traces stay."""
@@ -405,7 +428,7 @@ class Learner:
     def frame(self) -> Frame:
         """The watched lane now, and the summary since the last call."""
         lane = self.watch
-        weight, trace = held.unfolded(self.layout, self.network)
+        weight, trace = self._watched_synapses()
         tally = self.tally()
         neurons = self.topology.neurons
         raw, broadcast = self._section("reward")[:, lane]
@@ -415,14 +438,14 @@ class Learner:
             potential_range=self._extremes[:, :neurons].copy(),
             probes=self._probes,
             probe_range=self._extremes[:, neurons:].copy(),
-            weight_change=weight[:, lane] - self._summed_weight,
+            weight_change=weight - self._summed_weight,
             tally=tally - self._summed_tally,
         )
         frame = Frame(
             step=self.step,
             topology=self.topology,
-            weight=weight[:, lane].copy(),
-            trace=trace[:, lane].copy(),
+            weight=weight,
+            trace=trace,
             step_size=self.gamma,
             fall=self._fall,
             frozen=self._frozen,
@@ -485,12 +508,17 @@ class Learner:
         self._new_summary()
 
     def twin(self, task: Task | None = None) -> Learner:
-        """A second learner of the same making, at its start, with this one's lanes and seed."""
-        return Learner(
+        """A second learner of the same making, at its start, with this one's lanes and seed.
+
+        It shows the same lane.
+        """
+        twin = Learner(
             self.task if task is None else task, topology=self.topology, beta=self.beta,
             gamma=self.gamma, rule=self._rule, fall=self._fall, seed=self.seed, lanes=self.lanes,
             first_lane=self.first_lane,
         )  # fmt: skip
+        twin.look_at(self.watch)
+        return twin
 
     def frozen_copy(self, task: Task | None = None) -> Learner:
         """These weights, learning switched off, at the start of a run of their own."""
@@ -498,7 +526,6 @@ class Learner:
         copy.set_weights(self.weights)
         copy.freeze(True)
         copy.step = EVALUATION_STEP
-        copy.watch = self.watch
         copy._new_summary()  # noqa: SLF001  # another of this class
         return copy
 
@@ -506,6 +533,12 @@ class Learner:
 
     def _section(self, name: str) -> Array:
         return self.layout.section(self.network, name)
+
+    def _watched_synapses(self) -> tuple[Array, Array]:
+        """w and z of the watched lane, each (synapses,)."""
+        lane = self.network[:, self.watch : self.watch + 1]
+        weight, trace = held.unfolded(self.layout, lane)
+        return weight[:, 0], trace[:, 0]
 
     def _rows(self, name: str) -> int:
         return self.topology.neurons if name == "draw" else self.layout.sizes[name]
@@ -582,7 +615,7 @@ class Learner:
     def _new_summary(self) -> None:
         self._summed_steps = 0
         self._summed_tally = self.tally()
-        self._summed_weight = held.unfolded(self.layout, self.network)[0][:, self.watch]
+        self._summed_weight = self._watched_synapses()[0]
         self._probes = self.probes
         self._probe_rows = np.array(
             [held.trace_rows(self.layout, s) for s in self._probes], dtype=np.int64

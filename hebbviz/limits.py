@@ -54,6 +54,13 @@ def check_reward(reward: float) -> float:
     return float(reward)
 
 
+def check_lane(lane: int, lanes: int) -> int:
+    """The lane itself; raises ValueError unless there is such a one among so many."""
+    if not 0 <= lane < lanes:
+        raise ValueError(f"lane must be from 0 to {lanes - 1}, got {lane}")
+    return lane
+
+
 def check_steps(steps: int) -> int:
     """The number of steps itself; raises ValueError if it is negative."""
     if steps < 0:

@@ -166,6 +166,8 @@ class Task:
     presets: ClassVar[Mapping[str, Preset]]
     dt: ClassVar[float | None] = None
     """Seconds that a step lasts; None for a task that has no time but its steps."""
+    epoch: ClassVar[int | None] = None
+    """Steps of one pass over a training set; None for a task that has none."""
     hidden: ClassVar[tuple[int, ...]] = (8,)
     activity: ClassVar[Activity] = SYMMETRIC
     weight_range: ClassVar[float] = 0.1
@@ -254,12 +256,13 @@ class Task:
         """The measure of success over a stretch of steps."""
         return Score(tally.average_reward)
 
-    def evaluate(self, learner: Learner) -> dict[str, float]:
-        """How a frozen copy does, in a run of its own; the learner is left as it is."""
-        copy = learner.frozen_copy()
-        before = copy.tally()
-        copy.advance(100_000)
-        return {self.measure.key: self.score(copy.tally() - before).value}
+    def evaluate(self, learner: Learner) -> dict[str, Array]:
+        """How a frozen copy does in each lane, (lanes,), in a run of its own.
+
+        The learner is left as it is.
+        """
+        tallies = learner.frozen_copy().skip_tallied(100_000)
+        return {self.measure.key: np.array([self.score(t).value for t in tallies])}
 
     def results(self, learner: Learner, late: Tally) -> dict[str, float]:
         """The figures `hebbviz train` reports; `late` covers the last fifth of its steps."""

@@ -20,6 +20,8 @@ Points = tuple[Array, Array]
 Span = tuple[float, float]
 
 HEIGHT = 132
+WIDTH = 1.5
+"""Of a line, in pixels."""
 SHRINK = 0.2
 SHRINK_DRAWINGS = 40
 """A vertical axis is made smaller when the curves did with this share of it so many times."""
@@ -39,6 +41,13 @@ class Cursor(NamedTuple):
 
 
 NO_MORE: Mapping[str, Rgb] = {}
+NO_WIDTHS: Mapping[str, float] = {}
+NO_BANDS: Mapping[str, tuple[Points, Points]] = {}
+
+BAND_EDGE = "hebbviz-band-edge"
+QUIET_EDGES = f"<style>.{BAND_EDGE} {{ display: none; }}</style>"
+"""Keeps the edges of bands out of the legends; a page with bands needs it once."""
+BAND_STRENGTH = 0.3
 
 
 class Chart:
@@ -56,6 +65,8 @@ class Chart:
         title: str,
         series: Mapping[str, Rgb],
         *,
+        banded: Sequence[str] = (),
+        widths: Mapping[str, float] = NO_WIDTHS,
         dashed: Sequence[str] = (),
         dotted: Sequence[str] = (),
         logarithmic: bool = False,
@@ -65,6 +76,7 @@ class Chart:
     ) -> None:
         self._gui, self._container, self._title = gui, container, title
         self._usual, self._dashed, self._dotted = dict(series), frozenset(dashed), frozenset(dotted)
+        self._banded, self._widths = tuple(banded), dict(widths)
         self._logarithmic, self._legend, self._height = logarithmic, legend, height
         self._more: dict[str, Rgb] = {}
         self._has_cursor = False
@@ -80,12 +92,14 @@ class Chart:
         points: Mapping[str, Points],
         marks: Sequence[float],
         *,
+        bands: Mapping[str, tuple[Points, Points]] = NO_BANDS,
         cursor: Cursor | None = None,
         more: Mapping[str, Rgb] = NO_MORE,
     ) -> None:
         """Show the points of each series and a mark at each step of `marks`.
 
-        `more` names and colours series besides the usual ones; `cursor` is drawn as a line upwards.
+        `more` names and colours series besides the usual ones; `cursor` is drawn as a line upwards;
+        `bands` are the least and greatest around each of the banded series.
         """
         names = (*self._usual, *more)
         curves = [points.get(name, (np.zeros(0), np.zeros(0))) for name in names]
@@ -99,7 +113,8 @@ class Chart:
         first, last = min(x[0] for x in steps), max(x[-1] for x in steps)
         seen = np.unique([m for m in marks if first <= m <= last])
         x = np.unique(np.concatenate([*steps, seen, line]))
-        columns = [
+        columns = [edge for name in self._banded for edge in _edges_on(x, *bands[name])]
+        columns += [
             (_dots_on if name in self._dotted else _line_on)(x, *curve)
             for name, curve in zip(names, curves, strict=True)
         ]
@@ -143,14 +158,31 @@ class Chart:
         )
         return (
             uplot.Series(label="step"),
-            *(
-                _series(name, color, dashed=name in self._dashed, dotted=name in self._dotted)
-                for name, color in (self._usual | self._more).items()
-            ),
+            *(_edge() for _ in range(2 * len(self._banded))),
+            *(self._curve(name, color) for name, color in (self._usual | self._more).items()),
             *((cursor,) if self._has_cursor else ()),
             uplot.Series(
                 label="changed", stroke=css(MARK), width=0, points=_points(MARK, 9), scale="m"
             ),
+        )
+
+    def _curve(self, name: str, color: Rgb) -> uplot.Series:
+        if name in self._dotted:
+            return uplot.Series(label=name, stroke=css(color), width=0, points=_points(color, 5))
+        dashed = name in self._dashed
+        line = uplot.Series(
+            label=name, stroke=css(color, 0.55 if dashed else 1.0),
+            width=self._widths.get(name, WIDTH), points={"show": False}, spanGaps=True,
+        )  # fmt: skip
+        if dashed:
+            line["dash"] = (5, 4)
+        return line
+
+    def _bands(self) -> tuple[uplot.Band, ...]:
+        """Each between two edges, which are the first of the series."""
+        return tuple(
+            uplot.Band(series=(2 * k + 2, 2 * k + 1), fill=css(self._usual[name], BAND_STRENGTH))
+            for k, name in enumerate(self._banded)
         )
 
     def _add(self, data: tuple[Array, ...], order: float | None) -> None:
@@ -160,7 +192,8 @@ class Chart:
         scales: Any = {"x": {"time": False}, "y": y, "m": {"auto": False, "range": (0.0, 1.0)}}
         with self._container:
             self._plot = self._gui.add_uplot(
-                data, self._series(), title=self._title, scales=scales, height=self._height,
+                data, self._series(), title=self._title, bands=self._bands(), scales=scales,
+                height=self._height,
                 legend={"show": self._legend, "live": False},
                 axes=({"size": 38, "space": 90}, {"size": 62}), padding=(8, 24, 0, 0),
                 cursor={"show": False}, order=order,
@@ -188,16 +221,9 @@ def _points(color: Rgb, size: int) -> Any:
     return {"show": True, "size": size, "fill": css(color), "stroke": css(color), "width": 1}
 
 
-def _series(name: str, color: Rgb, *, dashed: bool, dotted: bool) -> uplot.Series:
-    if dotted:
-        return uplot.Series(label=name, stroke=css(color), width=0, points=_points(color, 5))
-    line = uplot.Series(
-        label=name, stroke=css(color, 0.55 if dashed else 1.0), width=1.5,
-        points={"show": False}, spanGaps=True,
-    )  # fmt: skip
-    if dashed:
-        line["dash"] = (5, 4)
-    return line
+def _edge() -> Any:
+    """A side of a band: its place matters, it is not drawn itself."""
+    return {"label": "", "width": 0, "points": {"show": False}, "class": BAND_EDGE}
 
 
 def _line_on(x: Array, own: Array, y: Array) -> Array:
@@ -205,6 +231,16 @@ def _line_on(x: Array, own: Array, y: Array) -> Array:
     if len(own) == 0:
         return np.full(len(x), np.nan)
     return np.where((x < own[0]) | (x > own[-1]), np.nan, np.interp(x, own, y))
+
+
+def _edges_on(x: Array, low: Points, high: Points) -> tuple[Array, Array]:
+    """As `_line_on`, but where there is no band its edges meet: a fill to a NaN goes astray."""
+    own = low[0]
+    if len(own) == 0:
+        return np.full(len(x), np.nan), np.full(len(x), np.nan)
+    edges = np.interp(x, own, low[1]), np.interp(x, own, high[1])
+    middle, outside = (edges[0] + edges[1]) / 2, (x < own[0]) | (x > own[-1])
+    return np.where(outside, middle, edges[0]), np.where(outside, middle, edges[1])
 
 
 def _dots_on(x: Array, own: Array, y: Array) -> Array:

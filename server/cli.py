@@ -16,11 +16,10 @@ import json
 import os
 import signal
 import sys
-import tempfile
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from server.making import asked_rule, make_learner, saved_task, task_name
 from server.options import parse
@@ -29,15 +28,16 @@ from server.terminal import (
     FAILED,
     FINE,
     InputError,
+    check_writable,
     fail,
     place,
-    reason,
     say,
     tell,
     user_can_mend,
 )
 
 if TYPE_CHECKING:
+    import threading
     from collections.abc import Sequence
 
     from hebbviz.learner import Learner
@@ -204,14 +204,10 @@ def train(args: argparse.Namespace) -> int:
 
     is_watched = sys.stderr.isatty()
 
-    def say() -> None:
-        if is_watched:
-            tell("compiling for this machine, only this first time")
-
     def prepare() -> tuple[Learner, Steps]:
-        from server.train import announced_compiling, warm_up
+        from server.train import announced_on_terminal, warm_up
 
-        with announced_compiling(say):
+        with announced_on_terminal():
             learner = make_learner(args)
             warm_up(learner)
             return learner, _recorded(args, learner)
@@ -294,13 +290,7 @@ def _check_save(name: str | None) -> None:
     target = Path(name if name.endswith(".npz") else f"{name}.npz")
     if not name or target.is_dir():
         raise InputError(f"--save must name a file, got {name!r}")
-    try:
-        with tempfile.TemporaryFile(dir=target.parent):
-            pass
-    except OSError as error:
-        raise InputError(
-            f"cannot save in {target.parent}: {reason(error)}; choose another folder"
-        ) from error
+    check_writable(target.parent)
 
 
 def _save(args: argparse.Namespace, learner: Learner) -> str | None:
@@ -313,8 +303,59 @@ def _save(args: argparse.Namespace, learner: Learner) -> str | None:
     return f"saved in {path}"
 
 
+# Figures and maps
+
+
+def figure(args: argparse.Namespace) -> int:
+    """Make one of the paper's figures."""
+
+    def work(stop: threading.Event) -> dict[str, Any] | None:
+        from server.figures.command import make
+        from server.figures.order import Order
+
+        return make(Order.of(args), stop)
+
+    return _experiment(args, work)
+
+
+def sweep(args: argparse.Namespace) -> int:
+    """Map β against γ."""
+
+    def work(stop: threading.Event) -> dict[str, Any] | None:
+        from server.sweep.command import make
+        from server.sweep.grid import Sweep
+
+        return make(Sweep.of(args), args.out, stop, scheduler=args.scheduler)
+
+    return _experiment(args, work)
+
+
+def _experiment(
+    args: argparse.Namespace, work: Callable[[threading.Event], dict[str, Any] | None]
+) -> int:
+    """Do a long work and print what it comes to; `work` returns None if it was stopped."""
+    from server.experiments import LostWorkers
+    from server.interrupts import Interrupts
+
+    kept = f"the same command goes on from what is kept in {args.out}"
+    with Interrupts() as interrupts:
+        try:
+            with user_can_mend(args):
+                made = work(interrupts.stop)
+        except LostWorkers as error:
+            return fail(FAILED, f"{error}; {kept}")
+        except KeyboardInterrupt:
+            tell(f"stopped at once; {kept}")
+            _leave(128 + (interrupts.number or signal.SIGINT))
+    if made is None:
+        tell(f"stopped; {kept}")
+        return 128 + (interrupts.number or signal.SIGINT)
+    say(json.dumps(made, allow_nan=False))
+    return FINE
+
+
 COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
-    c.__name__: c for c in (serve, train, replay, view, inspect, export)
+    c.__name__: c for c in (serve, train, replay, view, inspect, export, figure, sweep)
 }
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from hebbviz.learner import Learner
 from hebbviz.limits import check_beta, check_fall, check_gamma, check_reward
 from hebbviz.rules import make_rule
+from server.making import MOST_SHOWN_LANES
 
 LARGEST_SPEED = 1e9
 REALTIME = "realtime"
@@ -162,9 +163,22 @@ class SetSpeed:
 
 @dataclass(frozen=True)
 class Reset:
-    """Start again with the set β, γ and rule, from the same seed or from another."""
+    """Start again with the set β, γ and rule, from the same seed or from another, with as many
+    lanes or another number: lane k of a seed is the same run whatever lanes are beside it, unless
+    the rule lets lanes touch each other.
+    """
 
     seed: int | None = None
+    lanes: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.lanes is not None and not 1 <= self.lanes <= MOST_SHOWN_LANES:
+            raise ValueError(f"lanes must be from 1 to {MOST_SHOWN_LANES}, got {self.lanes}")
+
+    def __str__(self) -> str:
+        if self.lanes is not None:
+            return f"{self.lanes} lane{'s' * (self.lanes != 1)}"
+        return "reset" if self.seed is None else f"new seed {self.seed}"
 
 
 @dataclass(frozen=True)
@@ -212,6 +226,20 @@ class ShowBeginning:
 @dataclass(frozen=True)
 class Evaluate:
     """See how a frozen copy does, while the run goes on."""
+
+
+@dataclass(frozen=True)
+class WatchLane:
+    """The lane that is shown."""
+
+    lane: int
+
+
+@dataclass(frozen=True)
+class NextLane:
+    """Show the next lane, or with -1 the one before, round and round."""
+
+    by: int = 1
 
 
 @dataclass(frozen=True)
@@ -298,7 +326,9 @@ class StopRecording:
     pass
 
 
-Looking = SetWatch | SetWatchSpeed | ShowReward | ShowBeginning | Evaluate | Probe
+Looking = (
+    SetWatch | SetWatchSpeed | ShowReward | ShowBeginning | Evaluate | WatchLane | NextLane | Probe
+)
 """What only says how the run is looked at."""
 
 Command = (

@@ -20,6 +20,7 @@ from server.commands import (
     Evaluate,
     Freeze,
     GiveReward,
+    NextLane,
     Pause,
     Press,
     Reset,
@@ -31,7 +32,9 @@ from server.commands import (
     ShowReward,
     StepOnce,
     Undo,
+    WatchLane,
 )
+from server.making import MOST_SHOWN_LANES
 from server.picture import Picture
 from server.rule_controls import RuleControls
 from server.widgets import Widgets, assign
@@ -132,6 +135,11 @@ class Controls:
 
     def _build_watch(self) -> None:
         gui = self._gui
+        self.lane = gui.add_number(
+            "lane", 0, min=0, max=0, step=1, visible=False,
+            hint="which of the replicas is shown; G, H: the one before, the next",
+        )  # fmt: skip
+        self._ui.when(self.lane, lambda v: WatchLane(int(v)), unfinished=lambda _: True)
         self.watch = gui.add_checkbox(
             "watch", True, hint="while the run goes on, play excerpts that the eye can follow"
         )
@@ -159,9 +167,16 @@ class Controls:
         )
         self.new_seed = gui.add_button("New seed", icon=viser.Icon.DICE_5)
         self.hidden = gui.add_text("hidden", "8", hint="sizes of the hidden layers: 16 or 8,8")
+        self.lanes = gui.add_number(
+            "lanes", 1, min=1, max=MOST_SHOWN_LANES, step=1,
+            hint="how many replicas run side by side, each with random numbers of its own: "
+            "another number starts a new run, in which lane 0 is the same as before. A world that "
+            "is stepped in Python, the pendulum, takes so many times as long",
+        )  # fmt: skip
         self._ui.when(self.typed_speed, lambda v: SetSpeed(float(v)))
         self._ui.when(self.seed, lambda v: Reset(seed=int(v)), unfinished=lambda _: True)
         self._ui.when(self.hidden, self._choose_hidden, unfinished=lambda _: True)
+        self._ui.when(self.lanes, lambda v: Reset(lanes=int(v)), unfinished=lambda _: True)
         self._ui.press(self.new_seed, lambda: Reset(seed=(int(self.seed.value) + 1) % LARGEST_SEED))
 
     def _build_keys(self) -> None:
@@ -172,6 +187,8 @@ class Controls:
         self._ui.key("Undo", "U", Undo)
         self._ui.key("Freeze learning", "F", lambda: Freeze(not _in_force(self._ui.picture)[2]))
         self._ui.key("Latest reward, slowly", "L", ShowReward)
+        self._ui.key("The lane before", "G", lambda: NextLane(-1))
+        self._ui.key("The next lane", "H", NextLane)
         amount = self.amount
         self._ui.key("Reward by hand", "P", lambda: GiveReward(float(amount.value)))
         self._ui.key("Punishment by hand", "O", lambda: GiveReward(-float(amount.value)))
@@ -239,6 +256,10 @@ class Controls:
         assign(self.undo, "label", undo)
         assign(self.undo, "disabled", picture.undo_words is None)
         self._ui.put(self.seed, picture.seed)
+        self._ui.put(self.lanes, picture.lanes)
+        assign(self.lane, "visible", picture.lanes > 1)
+        assign(self.lane, "max", picture.lanes - 1)
+        self._ui.put(self.lane, picture.lane)
         assign(self.hidden, "disabled", type(picture.task).topology is not Task.topology)
         self._ui.put(self.hidden, ",".join(map(str, _hidden(picture))) or "none")
         speed = picture.speed if isinstance(picture.speed, str) else f"{picture.speed:g}"

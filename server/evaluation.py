@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hebbviz.learner import Learner, TaskError
 from hebbviz.task import CompiledTask
@@ -13,14 +17,16 @@ from server.run import MakeTask
 
 PAUSE_SECONDS = 2.0
 """Between two evaluations of a task that asks for them all the time."""
+PAUSE_SHARE = 3.0
+"""The pause lasts so many times as long as the evaluation: many lanes must not hold up the run."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Figures of a frozen copy made at `step`; names as in `Task.evaluate`."""
+    """Figures of a frozen copy made at `step`, each (lanes,); names as in `Task.evaluate`."""
 
     step: int
-    figures: dict[str, float]
+    figures: dict[str, NDArray[np.float64]]
 
 
 class Evaluator:
@@ -29,14 +35,18 @@ class Evaluator:
     def __init__(self, make_task: MakeTask, on_notice: Callable[[str], None]) -> None:
         self._make_task, self._notice = make_task, on_notice
         self._thread: threading.Thread | None = None
-        self._ended_at = 0.0
+        self._ended_at, self._lasted = -math.inf, 0.0
         self._lock = threading.Lock()
         self._done: list[Evaluation] = []
         self._run = object()
 
     def is_free(self) -> bool:
-        rested = time.monotonic() - self._ended_at > PAUSE_SECONDS
-        return rested and (self._thread is None or not self._thread.is_alive())
+        return self._thread is None or not self._thread.is_alive()
+
+    def is_rested(self) -> bool:
+        """Whether it is free, and the pause after the last evaluation is over."""
+        pause = max(PAUSE_SECONDS, PAUSE_SHARE * self._lasted)
+        return self.is_free() and time.monotonic() - self._ended_at > pause
 
     def start(self, learner: Learner, task_name: str) -> None:
         """Evaluate a copy of this learner as it is now; only while `is_free`."""
@@ -56,18 +66,22 @@ class Evaluator:
             return tuple(self._done)
 
     def _evaluate(self, copy: Learner, run: object) -> None:
-        step = copy.step
+        step, began = copy.step, time.monotonic()
         try:
-            figures = copy.task.evaluate(copy)
-        except TaskError as error:
+            figures = {
+                name: np.array(values, dtype=np.float64).reshape(copy.lanes)
+                for name, values in copy.task.evaluate(copy).items()
+            }
+        except (TaskError, ValueError) as error:
             self._notice(f"the evaluation of a frozen copy failed: {error}")
             figures = {}
         self._ended_at = time.monotonic()
+        self._lasted = self._ended_at - began
         with self._lock:
             if run is self._run and figures:
                 self._done.append(Evaluation(step, figures))
 
 
 def evaluates_by_itself(learner: Learner) -> bool:
-    """Compiled tasks are evaluated again and again: it costs the run next to nothing."""
+    """Compiled tasks are evaluated again and again: it costs the run little."""
     return isinstance(learner.task, CompiledTask)

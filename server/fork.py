@@ -16,7 +16,7 @@ from hebbviz.learner import Learner
 from hebbviz.limits import check_beta, check_gamma
 from hebbviz.moments import Block, Frame
 from server.commands import Change, SetBeta, SetGamma
-from server.history import Curve
+from server.history import Curve, Totals
 from server.run import Run
 
 BETA, GAMMA, NO_MEMORY, NO_REWARD, OTHER_REWARD = (
@@ -64,7 +64,7 @@ class Fork:
     def follow(self, block: Block) -> None:
         """Make as many steps as the run has just made."""
         self.learner.advance(len(block.fired), reward=self._reward(len(block.fired)))
-        self.history.add(self.learner.tally())
+        self.history.add(Totals.of(self.learner))
 
     def change(self, change: Change) -> None:
         """What is changed in the run is changed here too, but for that in which they differ."""
@@ -73,12 +73,16 @@ class Fork:
         if differs is None or not isinstance(change, differs):
             change.apply(self.learner)
 
+    def look_at(self, lane: int) -> None:
+        """Show another lane."""
+        self.learner.look_at(lane)
+
     def frame(self) -> Frame:
         return self.learner.frame()
 
     def curve(self) -> Curve:
-        """Its learning curve; what came before the fork is the run's own."""
-        return self.history.curve(self.learner.tally())
+        """The learning curve of the watched lane; what came before the fork is the run's own."""
+        return self.history.curves(Totals.of(self.learner)).lane(self.learner.watch)
 
     def _reward(self, steps: int) -> NDArray[np.float64] | None:
         if self.difference.kind == NO_REWARD:
@@ -89,7 +93,10 @@ class Fork:
 
 
 def _donor(run: Run) -> Learner:
-    """The same learner going on with other random numbers, whose rewards are taken."""
+    """The same learner going on with other random numbers.
+
+    The rewards of its first lane are taken, for all lanes of the other copy.
+    """
     learner = run.learner
     donor = Learner(
         learner.task, topology=learner.topology, rule=learner.rule,

@@ -1,4 +1,4 @@
-"""The whole run in a bounded number of windows, each a sum over every one of its steps."""
+"""The whole run in a bounded number of windows, each a sum over every one of its steps, by lane."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hebbviz.learner import Learner
 from hebbviz.task import Tally, Task
 
 Array = NDArray[np.float64]
 
 CAPACITY = 512
-BEGINNING = Tally(0, 0.0, 0.0, 0.0)
 
 
 def usual_window(task: Task) -> int:
@@ -21,9 +21,29 @@ def usual_window(task: Task) -> int:
     return round(10.0 / task.dt) if task.dt else 1000
 
 
+@dataclass(frozen=True, eq=False)
+class Totals:
+    """Totals of each lane after `steps` steps: reward, broadcast, episodes ended, (3, lanes)."""
+
+    steps: int
+    sums: Array
+
+    @classmethod
+    def of(cls, learner: Learner) -> Totals:
+        return cls(learner.step, learner.totals)
+
+    @classmethod
+    def of_one(cls, tally: Tally) -> Totals:
+        """Of a run of one lane."""
+        return cls(tally.steps, np.array([[tally.reward], [tally.broadcast], [tally.ended]]))
+
+    def lane(self, lane: int) -> Tally:
+        return Tally(self.steps, *(float(x) for x in self.sums[:, lane]))
+
+
 @dataclass(frozen=True)
 class Curve:
-    """Windows of a run: `end` step, and over each `steps`, `reward`, `broadcast`, `ended`.
+    """Windows of a lane: `end` step, and over each `steps`, `reward`, `broadcast`, `ended`.
 
     All of shape (windows,); `window` is their length in steps (the last may be shorter).
     """
@@ -40,10 +60,35 @@ class Curve:
         return [Tally(int(s), r, b, e) for s, r, b, e in zip(*columns, strict=True)]
 
 
+@dataclass(frozen=True)
+class Curves:
+    """Windows of all lanes between `edges`; `window` is their length in steps."""
+
+    window: int
+    edges: tuple[Totals, ...]
+
+    @property
+    def lanes(self) -> int:
+        return int(self.edges[0].sums.shape[1])
+
+    def lane(self, lane: int) -> Curve:
+        steps = np.array([t.steps for t in self.edges], dtype=np.float64)
+        sums = np.array([t.sums[:, lane] for t in self.edges])
+        return Curve(self.window, steps[1:], np.diff(steps), *np.diff(sums, axis=0).T)
+
+    def coarser(self, most: int) -> Curves:
+        """At most so many windows: while there are more, two become one."""
+        window, edges = self.window, self.edges
+        while len(edges) > most + 1:
+            window *= 2
+            edges = (edges[0], *(t for t in edges[1:] if t.steps % window == 0))
+        return Curves(window, edges)
+
+
 class History:
     """Totals at the edges of equal windows; when there are too many, two become one."""
 
-    def __init__(self, window: int, start: Tally = BEGINNING) -> None:
+    def __init__(self, window: int, start: Totals) -> None:
         """Windows of at least `window` steps, from the totals at the `start`."""
         self.window = window
         self._edges = [start]
@@ -52,7 +97,7 @@ class History:
         """How many steps may be run before `add` must be called."""
         return self.window - step % self.window
 
-    def add(self, total: Tally) -> bool:
+    def add(self, total: Totals) -> bool:
         """Note the totals since the start; kept, and True, where the step is a window's edge."""
         if total.steps % self.window or total.steps <= self._edges[-1].steps:
             return False
@@ -63,10 +108,9 @@ class History:
             self._edges = [first, *(t for t in rest if t.steps % self.window == 0)]
         return True
 
-    @property
-    def edges(self) -> tuple[Tally, ...]:
-        """The totals at the edges, the first those it began with."""
-        return tuple(self._edges)
+    def edges(self, lane: int = 0) -> tuple[Tally, ...]:
+        """The totals of a lane at the edges, the first those it began with."""
+        return tuple(t.lane(lane) for t in self._edges)
 
     def copy(self) -> History:
         return History.of(self.window, self._edges)
@@ -77,17 +121,15 @@ class History:
         return History.of(self.window, [first, *(t for t in rest if t.steps <= step)])
 
     @classmethod
-    def of(cls, window: int, edges: Sequence[Tally]) -> History:
+    def of(cls, window: int, edges: Sequence[Totals]) -> History:
         """As it was with these `edges`."""
         made = cls(window, edges[0])
         made._edges = list(edges)
         return made
 
-    def curve(self, now: Tally | None = None) -> Curve:
+    def curves(self, now: Totals | None = None) -> Curves:
         """The windows so far; with `now`, the unfinished one too once it is half full."""
-        edges = list(self._edges)
+        edges = tuple(self._edges)
         if now is not None and now.steps - edges[-1].steps >= self.window / 2:
-            edges.append(now)
-        totals = np.array([(t.steps, t.reward, t.broadcast, t.ended) for t in edges])
-        steps, reward, broadcast, ended = np.diff(totals, axis=0).T
-        return Curve(self.window, totals[1:, 0], steps, reward, broadcast, ended)
+            edges = (*edges, now)
+        return Curves(self.window, edges)

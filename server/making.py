@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from server.run import MakeTask
 
 DEFAULT_TASK = "pendulum"
+MOST_SHOWN_LANES = 256
+"""Lanes of a run with a page: a moment of it is a copy of them all."""
 
 
 def make_learner(args: argparse.Namespace) -> Learner:
@@ -25,6 +27,7 @@ def make_learner(args: argparse.Namespace) -> Learner:
     """
     from hebbviz.learner import Learner
     from hebbviz.limits import check_beta, check_fall, check_gamma
+    from hebbviz.rules import make_rule
     from sims.loading import make_task
 
     given = (check_beta, args.beta), (check_gamma, args.gamma), (check_fall, args.fall)
@@ -35,9 +38,11 @@ def make_learner(args: argparse.Namespace) -> Learner:
     if args.load is not None:
         return _loaded(args, rule)
     task = make_task(args.task or DEFAULT_TASK, args.preset)
+    if rule is None:
+        rule = make_rule(task.preset.rule)
     return Learner(
         task, hidden=args.hidden, beta=args.beta, gamma=args.gamma, rule=rule, fall=args.fall,
-        seed=args.seed or 0, lanes=1 if rule is None else rule.least_lanes,
+        seed=args.seed or 0, lanes=max(getattr(args, "lanes", None) or 1, rule.least_lanes),
     )  # fmt: skip
 
 
@@ -56,6 +61,9 @@ def _loaded(args: argparse.Namespace, rule: Rule | None) -> Learner:
     )
     if args.seed not in (None, learner.seed):
         raise _contradiction(f"--load {args.load}", "--seed", args.seed, learner.seed)
+    lanes = getattr(args, "lanes", None)
+    if lanes not in (None, learner.lanes):
+        raise _contradiction(f"--load {args.load}", "--lanes", lanes, learner.lanes)
     if args.hidden is not None and learner.task.topology(args.hidden) != learner.topology:
         sizes = ",".join(str(n) for n in args.hidden) or "none"
         raise _contradiction(

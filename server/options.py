@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from hebbviz import __version__
-from server.making import DEFAULT_TASK
+from hebbviz.limits import MOST_LANES
+from server.making import DEFAULT_TASK, MOST_SHOWN_LANES
 from server.terminal import InputError
 
 if TYPE_CHECKING:
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
 
 MOST_STEPS = 10**12
 
-_NUMERIC = ("--beta", "--gamma", "--fall", "--seed", "--speed", "--port", "--steps", "--stream")
+_NUMERIC = ("--beta", "--gamma", "--fall", "--seed", "--speed", "--port", "--steps", "--stream",
+            "--epochs", "--hours", "--lanes")  # fmt: skip
 
 EPILOG = "The rule, the presets and how to write a task of your own are in the README."
 
@@ -69,7 +71,8 @@ def _parser() -> _Parser:
     commands = parser.add_subparsers(
         dest="command", metavar="COMMAND", required=True, parser_class=_Parser
     )
-    for add in (_add_serve, _add_train, _add_replay, _add_view, _add_inspect, _add_export):
+    for add in (_add_serve, _add_train, _add_replay, _add_view, _add_inspect, _add_export,
+                _add_figure, _add_sweep):  # fmt: skip
         add(commands)
     return parser
 
@@ -87,6 +90,10 @@ def _add_serve(commands: Any) -> None:
         "--speed", type=_speed, metavar="S",
         help="steps per second, realtime (tasks with a time step) or max; can be changed on "
         "the page",
+    )  # fmt: skip
+    serve.add_argument(
+        "--lanes", type=_whole("lanes", 1, MOST_SHOWN_LANES), metavar="N",
+        help="how many replicas learn side by side, one of them watched (default 1)",
     )  # fmt: skip
     _add_page(serve)
     _add_recording(serve)
@@ -117,12 +124,7 @@ def _add_train(commands: Any) -> None:
 
 
 def _add_learner(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--task", metavar="T",
-        help="pendulum, sonar, synapse, or your own as path.py:Name "
-        f"(default {DEFAULT_TASK})",
-    )  # fmt: skip
-    parser.add_argument("--preset", metavar="P", help="a setting of the task (default its first)")
+    _add_task(parser)
     parser.add_argument(
         "--beta", type=_number("beta"), metavar="β",
         help="how long traces last, in [0, 1) (default the preset's)",
@@ -145,12 +147,21 @@ def _add_learner(parser: argparse.ArgumentParser) -> None:
         "--seed", type=_whole("seed", 0, 2**32 - 1), metavar="N", help="random seed (default 0)"
     )
     parser.add_argument(
+        "--load", metavar="FILE", help="go on with a saved learner, its task and its preset"
+    )
+
+
+def _add_task(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--task", metavar="T",
+        help="pendulum, sonar, synapse, or your own as path.py:Name "
+        f"(default {DEFAULT_TASK})",
+    )  # fmt: skip
+    parser.add_argument("--preset", metavar="P", help="a setting of the task (default its first)")
+    parser.add_argument(
         "--hidden", type=_hidden, metavar="SIZES",
         help="hidden layers, as 16 or 8,8 or none (default the task's)",
     )  # fmt: skip
-    parser.add_argument(
-        "--load", metavar="FILE", help="go on with a saved learner, its task and its preset"
-    )
 
 
 def _whole(name: str, least: int, most: int) -> Callable[[str], int]:
@@ -179,6 +190,13 @@ def _fall(text: str) -> float:
     with contextlib.suppress(ValueError):
         return math.inf if text == "never" else float(text)
     raise argparse.ArgumentTypeError(f"fall must be a number of steps or never, got {text!r}")
+
+
+def _hours(text: str) -> float:
+    hours = _number("hours")(text)
+    if hours <= 0.0:
+        raise argparse.ArgumentTypeError(f"hours must be above 0, got {text!r}")
+    return hours
 
 
 def _speed(text: str) -> Speed:
@@ -261,6 +279,120 @@ def _add_export(commands: Any) -> None:
     export.add_argument(
         "--every-step", type=_steps, metavar="FROM:TO",
         help="make these steps again, and write all that the network did in each of them",
+    )  # fmt: skip
+
+
+def _add_figure(commands: Any) -> None:
+    from server.figures.order import KINDS
+
+    figure = commands.add_parser(
+        "figure",
+        help="make one of the paper's figures: PNG, SVG and the CSV behind them",
+        description="Make one of the paper's figures, from runs of its own: PNG, SVG and the CSV "
+        "behind them, and what it comes to as one line of JSON. Ctrl-C ends it early; the same "
+        "command then goes on where it was.",
+        epilog=f"Exit code 130 or 143 if Ctrl-C or SIGTERM ended it. {EPILOG}",
+        allow_abbrev=False,
+    )
+    figure.add_argument(
+        "name", choices=KINDS, metavar="NAME",
+        help="; ".join(f"{name}: {kind.shows}" for name, kind in KINDS.items()),
+    )  # fmt: skip
+    figure.add_argument(
+        "--out", type=Path, required=True, metavar="FOLDER", help="folder to write into"
+    )
+    figure.add_argument(
+        "--task", metavar="T", help="for learning: a task by name, or your own as path.py:Name"
+    )
+    figure.add_argument(
+        "--preset", metavar="P", help="a setting of the task (default the figure's own)"
+    )
+    figure.add_argument(
+        "--lanes", type=_whole("lanes", 1, MOST_LANES), metavar="N",
+        help="independent runs (default the figure's own)",
+    )  # fmt: skip
+    _add_length(figure)
+    figure.add_argument(
+        "--seed", type=_whole("seed", 0, 2**32 - 1), default=0, metavar="N",
+        help="random seed (default %(default)s)",
+    )  # fmt: skip
+    figure.add_argument(
+        "--quick", action="store_true", help="a small version in less than a minute, to try it"
+    )
+    _add_scheduler(figure)
+
+
+def _add_sweep(commands: Any) -> None:
+    sweep = commands.add_parser(
+        "sweep",
+        help="map β against γ: how well each pair learns, as a heat map",
+        description="Map β against γ: run each pair many times over and tell how well it did over "
+        "the last fifth of the steps, as a heat map (PNG, SVG), a CSV, and one line of JSON. A "
+        "learner of each point is saved, and the command that opens it in the page is told with "
+        "it. Ctrl-C ends it early; the same command then goes on where it was, and so does one "
+        "with other values.",
+        epilog=f"Exit code 130 or 143 if Ctrl-C or SIGTERM ended it. {EPILOG}",
+        allow_abbrev=False,
+    )
+    sweep.add_argument(
+        "--out", type=Path, required=True, metavar="FOLDER", help="folder to write into"
+    )
+    _add_task(sweep)
+    sweep.add_argument(
+        "--beta", type=_values("parse_betas"), metavar="LIST",
+        help="values of β, as 0.5,0.9,0.99 or as a range 0.5:0.99:5, evenly in the logarithm of "
+        "1/(1−β) (default the preset's)",
+    )  # fmt: skip
+    sweep.add_argument(
+        "--gamma", type=_values("parse_gammas"), metavar="LIST",
+        help="values of γ, as 1e-3,1e-2 or as a range 1e-4:1e-1:7, evenly in its logarithm "
+        "(default the preset's)",
+    )  # fmt: skip
+    sweep.add_argument(
+        "--lanes", type=_whole("lanes", 1, MOST_LANES), default=16, metavar="N",
+        help="independent runs of each pair (default %(default)s)",
+    )  # fmt: skip
+    _add_length(sweep, default="1,000,000 steps")
+    sweep.add_argument(
+        "--seed", type=_whole("seed", 0, 2**32 - 1), default=0, metavar="N",
+        help="random seed (default %(default)s)",
+    )  # fmt: skip
+    _add_scheduler(sweep)
+
+
+def _values(parser: str) -> Callable[[str], tuple[float, ...]]:
+    def parse(text: str) -> tuple[float, ...]:
+        from server.sweep import grid
+
+        try:
+            values: tuple[float, ...] = getattr(grid, parser)(text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from error
+        return values
+
+    return parse
+
+
+def _add_length(parser: argparse.ArgumentParser, *, default: str = "the figure's own") -> None:
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument(
+        "--epochs", type=_whole("epochs", 1, MOST_STEPS), metavar="N",
+        help="length of each run, for tasks with a training set",
+    )  # fmt: skip
+    length.add_argument(
+        "--hours", type=_hours, metavar="H",
+        help="length of each run in simulated hours, for tasks with a time step",
+    )  # fmt: skip
+    length.add_argument(
+        "--steps", type=_whole("steps", 1, MOST_STEPS), metavar="N",
+        help=f"length of each run in steps (default {default})",
+    )  # fmt: skip
+
+
+def _add_scheduler(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS",
+        help="run it on the workers of a Dask scheduler, as tcp://HOST:PORT (default all cores)",
     )  # fmt: skip
 
 

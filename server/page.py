@@ -182,7 +182,8 @@ class Page:
             self._look_at(client, camera.OVERVIEW)
 
     def _identity(self, picture: Picture) -> tuple[object, ...]:
-        return picture.task, picture.live.topology, self._theme, type(picture.live.rule)
+        live = picture.live
+        return picture.task, live.topology, self._theme, type(live.rule), picture.lanes
 
     def _set_theme(self) -> None:
         self._server.gui.configure_theme(

@@ -9,21 +9,18 @@ import viser
 from numpy.typing import NDArray
 
 from hebbviz.rules import Rule
-from hebbviz.task import Task
 from hebbviz.topology import Topology
 from server import palette, words
-from server.charts import Chart, Cursor, Points
-from server.history import Curve
+from server.charts import Chart, Points
 from server.images import heat_map, raster
+from server.learning import Learning, cursor, marks, others, since
 from server.look import Scale, neuron_names
 from server.palette import Rgb, Theme
-from server.picture import Other, Picture
+from server.picture import Picture
 from server.trail import moved
 
 Array = NDArray[np.float64]
 
-OTHER: Rgb = palette.SERIES[3]
-"""Of the other copy of a fork."""
 SERIES_KEPT = palette.SERIES[2:]
 """Of what the rule keeps, beside the colours of the rewards."""
 MOST_CURVES = 8
@@ -43,13 +40,13 @@ class Panels:
         self._handles: list[Any] = []
         self._turn = 0
         self._tabs = tabs
-        self._build_learning(gui, picture)
+        self._learning = self._hold(Learning(gui, tabs["run"], picture, theme))
         self._build_reward(gui, picture.live.rule)
         self._build_now(gui)
         with tabs["synapses"]:
             self._build_synapses(gui)
         self._drawers = (
-            self._draw_learning, self._draw_raster, self._draw_reward, self._draw_potentials,
+            self._learning.draw, self._draw_raster, self._draw_reward, self._draw_potentials,
             self._draw_rates, self._draw_maps,
             *((self._draw_synapse,) if self._synapse_chart is not None else ()),
             *((self._draw_kept,) if self._kept_chart is not None else ()),
@@ -65,22 +62,6 @@ class Panels:
         self._turn = (self._turn + 1) % len(self._drawers)
 
     # Building
-
-    def _build_learning(self, gui: viser.GuiApi, picture: Picture) -> None:
-        measure = picture.task.measure
-        unit = f" ({measure.unit})" if measure.unit else ""
-        self._learning_title = f"{measure.name}{unit}"
-        self._learning = self._hold(
-            Chart(
-                gui, self._tabs["run"], self._learning_title,
-                _learning_series(picture.task),
-                dashed=("earlier run",), dotted=("at least",), logarithmic=measure.logarithmic,
-                span=measure.span,
-                height=215,
-            )
-        )  # fmt: skip
-        with self._tabs["run"]:
-            self._learning_words = self._hold(gui.add_markdown(""))
 
     def _build_reward(self, gui: viser.GuiApi, rule: Rule) -> None:
         self._reward = self._hold(
@@ -156,38 +137,17 @@ class Panels:
 
     # Drawing
 
-    def _draw_learning(self, picture: Picture) -> None:
-        points = _scores(picture, picture.curve)
-        if picture.ghost is not None:
-            points["earlier run"] = _scores(picture, picture.ghost)["this run"]
-        points |= _frozen(picture)
-        more = _others(picture)
-        if picture.other is not None:
-            points |= dict.fromkeys(more, _scores(picture, _since(picture.other))["this run"])
-        self._learning.draw(points, _marks(picture), cursor=_cursor(picture), more=more)
-        newest = picture.curve.tallies()[-1:]
-        said = [words.score(picture.task.score(t), picture.task.measure) for t in newest]
-        now = f", now **{said[0]}**" if said else ""
-        bound = (
-            " Dots: no fall in that window, so at least this." if points["at least"][0].size else ""
-        )
-        both = "" if picture.other is None else words.compared(picture, picture.other)
-        self._learning_words.content = (
-            f"{both}\n\nEach point sums up {words.steps(picture.curve.window)}{now}.{bound} "
-            f"{_changes(picture)} {_evaluated(picture)}"
-        )
-
     def _draw_reward(self, picture: Picture) -> None:
         curve = picture.curve
         points = {
             "of the task": (curve.end, curve.reward / curve.steps),
             "as broadcast": (curve.end, curve.broadcast / curve.steps),
         }
-        more = _others(picture)
+        more = others(picture)
         if picture.other is not None:
-            other = _since(picture.other)
+            other = since(picture.other)
             points |= dict.fromkeys(more, (other.end, other.reward / other.steps))
-        self._reward.draw(points, _marks(picture), cursor=_cursor(picture), more=more)
+        self._reward.draw(points, marks(picture), cursor=cursor(picture), more=more)
 
     def _draw_kept(self, picture: Picture) -> None:
         """The rule's memory in the latest pictures."""
@@ -198,7 +158,7 @@ class Panels:
             kept = np.array([f.memory for f in frames]).T
             names = (reading.name for reading in self._rule.memory)
             points = {name: (x, row) for name, row in zip(names, kept, strict=True)}
-            self._kept_chart.draw(points, _marks(picture))
+            self._kept_chart.draw(points, marks(picture))
 
     def _draw_rates(self, picture: Picture) -> None:
         frames = moved(picture.live_trail if picture.past is None else picture.shown_trail)
@@ -206,7 +166,7 @@ class Panels:
             x = np.array([f.step for f in frames], dtype=np.float64)
             rates = np.array([f.since.spikes / f.since.steps for f in frames])
             points = {n: (x, rates[:, c].mean(axis=1)) for n, c in self._curves.items()}
-            self._rate_chart.draw(points, _marks(picture))
+            self._rate_chart.draw(points, marks(picture))
 
     def _draw_raster(self, picture: Picture) -> None:
         self._raster_image.image = raster(
@@ -223,7 +183,7 @@ class Panels:
         if self._synapse_chart is not None and len(frames) > 1:
             x = np.array([f.step for f in frames], dtype=np.float64)
             z, w = np.array([(f.trace[0], f.weight[0]) for f in frames]).T
-            self._synapse_chart.draw({"z": (x, z), "w": (x, w)}, _marks(picture))
+            self._synapse_chart.draw({"z": (x, z), "w": (x, w)}, marks(picture))
 
     def _draw_potentials(self, picture: Picture) -> None:
         """Least and greatest v of each picture, of each curve's neurons."""
@@ -235,7 +195,7 @@ class Panels:
             for name, c in self._curves.items():
                 points[name] = (x, low[:, c].min(axis=1))
                 points[f"{name} "] = (x, high[:, c].max(axis=1))
-            self._potential_chart.draw(points, _marks(picture))
+            self._potential_chart.draw(points, marks(picture))
 
     def _draw_maps(self, picture: Picture) -> None:
         frame, topology = picture.shown, self._topology
@@ -269,78 +229,6 @@ def _curves_of(topology: Topology) -> dict[str, slice]:
     if topology.neurons > MOST_CURVES:
         return {g.name: topology.neurons_of(g.name) for g in topology.neuron_groups}
     return {name: slice(k, k + 1) for k, name in enumerate(neuron_names(topology))}
-
-
-def _scores(picture: Picture, curve: Curve) -> dict[str, Points]:
-    """The task's measure of every window; bounds apart."""
-    scores = [picture.task.score(t) for t in curve.tallies()]
-    value = np.array([s.value for s in scores])
-    bound = np.array([s.is_bound for s in scores], dtype=bool)
-    if picture.task.measure.logarithmic:
-        value = np.where(value > 0, value, np.nan)
-    return {"this run": (curve.end, value), "at least": (curve.end[bound], value[bound])}
-
-
-def _learning_series(task: Task) -> dict[str, Rgb]:
-    series = {
-        "this run": palette.SERIES[0], "at least": palette.SERIES[1], "earlier run": (140, 140, 140)
-    }  # fmt: skip
-    frozen = zip(task.frozen_figures, (palette.SERIES[2], palette.SERIES[4]), strict=False)
-    return series | {_frozen_name(key): color for key, color in frozen}
-
-
-def _frozen_name(key: str) -> str:
-    return key.replace("_", " ")
-
-
-def _frozen(picture: Picture) -> dict[str, Points]:
-    """What frozen copies of the run did, as curves."""
-    times = 100.0 if picture.task.measure.unit == "%" else 1.0
-    x = np.array([e.step for e in picture.evaluations], dtype=np.float64)
-    return {
-        _frozen_name(key): (x, times * np.array([e.figures[key] for e in picture.evaluations]))
-        for key in picture.task.frozen_figures
-    }
-
-
-def _evaluated(picture: Picture) -> str:
-    if not picture.evaluations:
-        return ""
-    latest = picture.evaluations[-1]
-    said = ", ".join(f"{_frozen_name(k)} **{v:.3g}**" for k, v in latest.figures.items())
-    return f"Frozen copy at step {words.count(latest.step)}: {said}."
-
-
-def _marks(picture: Picture) -> list[float]:
-    return [float(c.step) for c in picture.changes]
-
-
-def _cursor(picture: Picture) -> Cursor | None:
-    """Where in the run the step is that is shown of its past."""
-    past = picture.past
-    return None if past is None else Cursor(past.cursor, picture.first, picture.live.step)
-
-
-def _since(other: Other) -> Curve:
-    """The other copy's curve from the fork on; before it there was but one."""
-    c, since = other.curve, other.curve.end > other.start
-    return Curve(
-        c.window, c.end[since], c.steps[since], c.reward[since], c.broadcast[since], c.ended[since]
-    )
-
-
-def _others(picture: Picture) -> dict[str, Rgb]:
-    """Name and colour of the other copy's curve, while there is one."""
-    return {} if picture.other is None else {f"other: {picture.other.words}": OTHER}
-
-
-def _changes(picture: Picture) -> str:
-    """The latest changes in words, for the marks."""
-    latest = picture.changes[-3:]
-    if not latest:
-        return ""
-    said = "; ".join(f"{c.change} at {words.count(c.step)}" for c in latest)
-    return f"Changed: {said}."
 
 
 def _key(colors: dict[str, Rgb]) -> str:

@@ -9,7 +9,7 @@ from hebbviz.moments import Block, Frame
 from hebbviz.task import Task
 from server.commands import Logged, Speed
 from server.evaluation import Evaluation
-from server.history import Curve
+from server.history import Curve, Curves
 from server.player import Check
 from server.recording.status import Status
 from server.watch import Excerpt
@@ -39,6 +39,8 @@ class Picture:
     """All that a view may show. `shown` is the excerpt's frame while one plays, or a step of the
     `past` while that is shown, else `live`. The past goes back to step `first`.
 
+    All is of the watched `lane`, but for `curves`, which are of all lanes, and `evaluations`.
+
     `recent` holds every one of the latest steps up to `shown`, as far as they follow on one
     another; `shown_trail` and `live_trail` the latest frames, likewise, so that a view that skips
     pictures misses nothing. `made_at` is time.monotonic().
@@ -49,9 +51,9 @@ class Picture:
     task: Task
     task_name: str
     seed: int
+    lane: int
     beta: float
     gamma: float
-    lanes: int
     frozen: bool
     live: Frame
     shown: Frame
@@ -60,6 +62,7 @@ class Picture:
     live_trail: tuple[Frame, ...]
     excerpt: Excerpt | None
     curve: Curve
+    curves: Curves
     ghost: Curve | None
     changes: Sequence[Logged]
     paused: bool
@@ -78,3 +81,8 @@ class Picture:
     records: bool
     folder: str
     stream_url: str | None
+
+    @property
+    def lanes(self) -> int:
+        """How many replicas run side by side."""
+        return self.curves.lanes

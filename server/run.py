@@ -11,20 +11,26 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from hebbviz.learner import Learner
+from hebbviz.limits import check_lane
 from hebbviz.moments import Block, Frame
+from hebbviz.rules import make_rule
 from hebbviz.task import Tally, Task
 from server.commands import Change, Choose, Logged, Reset
-from server.history import Curve, History, usual_window
+from server.history import Curve, History, Totals, usual_window
 from server.recording.thinning import Plan
 from server.tape import MOST_BYTES, Moment, Tape
 
 MOST_UNDOS = 100
+MOST_UNDO_BYTES = 256_000_000
+"""Of the moments to go back to; with many lanes there are fewer of them."""
 
 MakeTask = Callable[[str, str | None], Task]
 
 
 class Follower(Protocol):
-    """What is told of a run as it goes on: a recorder."""
+    """What is told of a run as it goes on: a recorder. Blocks, frames and edges are those of the
+    watched lane; where another is chosen, that is a leap.
+    """
 
     def plan(self, run: Run) -> Plan:
         """Until which step to run at most, and whether every step until there is to be told."""
@@ -141,19 +147,28 @@ class Run:
         old = self.learner
         fresh = Learner(
             old.task, topology=old.topology, beta=old.beta, gamma=old.gamma, rule=old.rule,
-            fall=old.fall, seed=old.seed if command.seed is None else command.seed, lanes=old.lanes,
+            fall=old.fall, seed=old.seed if command.seed is None else command.seed,
+            lanes=old.lanes if command.lanes is None else command.lanes,
             first_lane=old.first_lane,
         )  # fmt: skip
         fresh.freeze(old.frozen)
-        self._remember("reset" if command.seed is None else f"new seed {command.seed}")
-        ghost = self.history.curve(old.tally())
+        _look_at_the_same(fresh, old)
+        self._remember(str(command))
+        ghost = self.history.curves(Totals.of(old)).lane(old.watch)
         self._leap("the run was reset")
         self._begin(fresh, self.task_name, ghost if len(ghost.end) else self.ghost)
 
     def choose(self, command: Choose) -> None:
-        """Another task, preset or network, with the preset's β, γ and rule."""
+        """Another task, preset or network, with the preset's β, γ and rule.
+
+        As many lanes as before, but another task begins with one, or as many as its rule needs.
+        """
         task = self.make_task(command.task, command.preset)
-        fresh = Learner(task, hidden=command.hidden, seed=self.learner.seed)
+        old = self.learner
+        least = make_rule(task.preset.rule).least_lanes
+        lanes = max(least, old.lanes if command.task == self.task_name else 1)
+        fresh = Learner(task, hidden=command.hidden, seed=old.seed, lanes=lanes)
+        _look_at_the_same(fresh, old)
         sizes = "" if command.hidden is None else f", hidden {','.join(map(str, command.hidden))}"
         self._remember(f"choosing {command.task}, {task.preset_name}{sizes}")
         self._leap("another task or network was chosen")
@@ -165,6 +180,7 @@ class Run:
             return None
         point = self._undo.pop()
         self._leap(f"{point.words} was undone")
+        _look_at_the_same(point.learner, self.learner)
         self.learner, self.task_name = point.learner, point.task_name
         self.learner.restore(point.moment.keyframe)
         self.log, self.history, self.ghost = list(point.log), point.history.copy(), point.ghost
@@ -180,6 +196,15 @@ class Run:
         self.log = self.log[: moment.logged]
         self.history, self.tape = self.history.until(moment.step), self.tape.until(moment.step)
         self.stored = None
+
+    def look_at(self, lane: int) -> None:
+        """Show another lane; the run goes on as it is. Raises ValueError if there is none such."""
+        learner = self.learner
+        check_lane(lane, learner.lanes)
+        if lane != learner.watch:
+            self.frame()  # the sums so far are of the lane before
+            self._leap(f"lane {lane} was chosen to be watched")
+            learner.look_at(lane)
 
     def moment(self) -> Moment:
         return Moment(self.learner.keyframe(), len(self.log))
@@ -212,7 +237,7 @@ class Run:
                 self.tape, self.stored, self.ghost, words,
             )
         )  # fmt: skip
-        del self._undo[:-MOST_UNDOS]
+        del self._undo[: -max(1, min(MOST_UNDOS, MOST_UNDO_BYTES // self.moment_size))]
 
     def _begin(self, learner: Learner, task_name: str, ghost: Curve | None) -> None:
         self.learner, self.task_name, self.ghost = learner, task_name, ghost
@@ -220,10 +245,9 @@ class Run:
         self.stored = None
 
     def _note_edge(self) -> None:
-        total = self.learner.tally()
-        if self.history.add(total):
+        if self.history.add(Totals.of(self.learner)):
             for follower in self.followers:
-                follower.edge(self, total)
+                follower.edge(self, self.learner.tally())
 
     def _leap(self, words: str) -> None:
         for follower in self.followers:
@@ -270,7 +294,13 @@ class Replay:
 def _new_history(learner: Learner) -> History:
     task = learner.task
     window = 1 if task.natural_speed is not None else usual_window(task)
-    return History(window, learner.tally())
+    return History(window, Totals.of(learner))
+
+
+def _look_at_the_same(learner: Learner, before: Learner) -> None:
+    """Show the lane that was watched before, if there is such a one."""
+    if before.watch < learner.lanes:
+        learner.look_at(before.watch)
 
 
 def _new_tape(learner: Learner, logged: int = 0) -> Tape:

@@ -25,6 +25,10 @@ class Moment:
     keyframe: Keyframe
     logged: int
 
+    def lane(self, lane: int) -> Moment:
+        """The same moment of one lane alone."""
+        return Moment(self.keyframe.lane(lane), self.logged)
+
     @property
     def step(self) -> int:
         return self.keyframe.step
@@ -33,6 +37,11 @@ class Moment:
     def size(self) -> int:
         """Bytes."""
         return self.keyframe.network.nbytes + self.keyframe.world.nbytes
+
+    @property
+    def lane_size(self) -> int:
+        """Bytes of one lane of it, which is what a recording takes."""
+        return self.size // int(self.keyframe.network.shape[1])
 
 
 class Tape:

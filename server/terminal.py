@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
+import tempfile
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
@@ -43,6 +44,17 @@ def user_can_mend(args: argparse.Namespace) -> Iterator[None]:
             raise
         what = f"{type(error).__name__}: {error}"
         raise InputError(f"{' or '.join(own)}: {what}{place(args, error)}") from error
+
+
+def check_writable(folder: Path) -> None:
+    """Find out before the work whether its result can be written into an existing folder."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise InputError(
+            f"cannot save in {folder}: {reason(error)}; choose another folder"
+        ) from error
 
 
 def reason(error: OSError) -> str:

@@ -20,7 +20,9 @@ from server.making import maker
 from server.recording.recordings import Options, Recordings
 from server.recording.status import Status
 from server.run import Run
+from server.stretches import stretches
 from server.tape import Pace
+from server.terminal import tell
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -68,6 +70,18 @@ class _Announcement(event.Listener):
 def announced_compiling(say: Callable[[], None]) -> Iterator[None]:
     """Call `say` once if numba compiles something in here: what it has on disk is only loaded."""
     with event.install_listener("numba:compile", _Announcement(say)):
+        yield
+
+
+@contextlib.contextmanager
+def announced_on_terminal() -> Iterator[None]:
+    """`announced_compiling` on stderr, if that is a terminal."""
+
+    def say() -> None:
+        if sys.stderr.isatty():
+            tell("compiling for this machine, only this first time")
+
+    with announced_compiling(say):
         yield
 
 
@@ -173,17 +187,11 @@ def train(
 
 def _skip(go: Steps, steps: int, stop: threading.Event, moved: Callable[[int], object]) -> None:
     """`go.skip(steps)`, cut so that `stop` acts soon whatever a step costs."""
-    learner = go.learner
-    end, chunk = learner.step + steps, 1
-    while learner.step < end and not stop.is_set():
-        size, began = min(chunk, end - learner.step), time.perf_counter()
+    for size in stretches(steps, CHUNK_SECONDS):
+        if stop.is_set():
+            break
         go.skip(size)
         moved(size)
-        seconds = time.perf_counter() - began
-        if seconds < CHUNK_SECONDS / 2:
-            chunk = 2 * chunk
-        elif seconds > 2 * CHUNK_SECONDS:
-            chunk = max(1, chunk // 2)
 
 
 @contextlib.contextmanager

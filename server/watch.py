@@ -69,6 +69,14 @@ class Watch:
         self._moments.clear()
         self._latest_reward = self._replay = self._beginning = None
 
+    def look_at(self, lane: int) -> None:
+        """Go on with another lane of the same excerpt; the latest reward was the other lane's."""
+        self._latest_reward = None
+        if self.in_slow_motion:
+            self._replay = None
+        if self._replay is not None:
+            self._replay.learner.look_at(lane)
+
     def note(self, moment: Moment, block: Block) -> None:
         """Keep the moment at which a block of the run began; look for rewards in the block."""
         if self._beginning is None:

@@ -116,13 +116,16 @@ def warning(picture: Picture) -> str | None:
     if picture.error is not None:
         return picture.error
     if picture.past is None:
-        return stuck(picture.live_trail)
+        why = stuck(picture.live_trail)
+        return f"Lane {picture.lane}: {why}" if why and picture.lanes > 1 else why
     return f"{picture.past.check.value}." if picture.past.check is Check.DIFFERS else None
 
 
 def besides(picture: Picture) -> list[str]:
-    """What goes on besides what is shown: the other copy of a fork, a recording."""
+    """What goes on besides what is shown: other lanes, the other copy of a fork, a recording."""
     lines = []
+    if picture.lanes > 1:
+        lines.append(f"**{picture.lanes} lanes** side by side, **lane {picture.lane}** watched")
     if picture.other is not None:
         other = picture.other
         lines.append(
@@ -219,9 +222,11 @@ def speed(picture: Picture) -> str:
         asked = picture.speed if isinstance(picture.speed, str) else f"{picture.speed:g} steps/s"
         return f"the past is played at `{asked}`"
     reached = f"`{short(picture.steps_per_second)} steps/s`"
+    lanes, of_all = picture.lanes, short(picture.steps_per_second * picture.lanes)
+    all_lanes = f"; × {lanes} lanes = `{of_all} lane-steps/s`" if lanes > 1 else ""
     dt = picture.task.dt
     times = f" = {short(picture.steps_per_second * dt)} × real time" if dt else ""
-    return f"reached: {reached}{times}{time_of(picture.task, picture.live.step)}"
+    return f"reached: {reached}{times}{time_of(picture.task, picture.live.step)}{all_lanes}"
 
 
 def legend(frame: Frame, looks: Looks, drawn: int) -> str:

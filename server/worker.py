@@ -15,6 +15,7 @@ from collections.abc import Callable
 
 from hebbviz.learner import TaskError
 from hebbviz.moments import Frame
+from hebbviz.rules import make_rule
 from server.commands import (
     MAX,
     REALTIME,
@@ -28,6 +29,7 @@ from server.commands import (
     Freeze,
     GiveReward,
     Looking,
+    NextLane,
     Pause,
     Press,
     Probe,
@@ -51,9 +53,11 @@ from server.commands import (
     StopRecording,
     TakeOver,
     Undo,
+    WatchLane,
 )
 from server.evaluation import Evaluator, evaluates_by_itself
 from server.fork import Difference, Fork
+from server.history import Totals
 from server.picture import Other, Past, Picture
 from server.player import Player
 from server.recording.recordings import Options, Recordings
@@ -209,7 +213,8 @@ class Worker(threading.Thread):
         self._steps_made.append((began, done))
         computed = time.monotonic() - began
         self._adapt(computed, done)
-        if self._pace.is_due(computed, computed if self._rate() is None else seconds, moment.size):
+        passed, recorded = computed if self._rate() is None else seconds, moment.lane_size
+        if self._pace.is_due(computed, passed, recorded):
             self._run.keep()
 
     def _steps_owed(self) -> int:
@@ -306,12 +311,31 @@ class Worker(threading.Thread):
                 self._watch.show_beginning(self._run)
             case Evaluate():
                 self._evaluate()
+            case WatchLane(lane):
+                self._look_at(lane)
+            case NextLane(by):
+                self._look_at((self._run.learner.watch + by) % self._run.learner.lanes)
             case Probe(synapses):
                 known = range(self._run.learner.topology.synapses)
                 self._run.learner.probe([s for s in synapses if s in known])
 
+    def _look_at(self, lane: int) -> None:
+        """Show another lane: now, in excerpts, in the past, in both copies of a fork."""
+        if lane == self._run.learner.watch:
+            return
+        self._run.look_at(lane)
+        self._watch.look_at(lane)
+        self._excerpt_trail.clear()
+        self._live_trail.clear()
+        if self._fork is not None:
+            self._fork.look_at(lane)
+        if self._player is not None:
+            self._player.seek(self._player.cursor)
+
     def _change(self, change: Change) -> None:
         """Make a change in the run; in its past, by taking over there."""
+        if isinstance(change, SetRule):
+            self._recordings.check_rule(make_rule(change.rule))
         if self._player is not None:
             self._take_over()
         now, kind = time.monotonic(), type(change)
@@ -446,19 +470,20 @@ class Worker(threading.Thread):
         learner = self._run.learner
         live = self._run.frame()
         moves = bool(live.since.steps) and evaluates_by_itself(learner)
-        if moves and self._evaluator.is_free():
+        if moves and self._evaluator.is_rested():
             self._evaluate()
         self._live_trail.add(live)
         shown, trail = self._what_is_shown(live, seconds)
+        curves = self._run.history.curves(Totals.of(learner))
         picture = Picture(
             number=self._number + 1,
             made_at=time.monotonic(),
             task=learner.task,
             task_name=self._run.task_name,
             seed=learner.seed,
+            lane=learner.watch,
             beta=learner.beta,
             gamma=learner.gamma,
-            lanes=learner.lanes,
             frozen=learner.frozen,
             live=live,
             shown=shown,
@@ -466,7 +491,8 @@ class Worker(threading.Thread):
             shown_trail=trail.frames,
             live_trail=self._live_trail.frames,
             excerpt=self._watch.excerpt(),
-            curve=self._run.history.curve(live.tally),
+            curve=curves.lane(learner.watch),
+            curves=curves,
             ghost=self._run.ghost,
             changes=tuple(self._run.log[-200:]),
             paused=self._paused if self._player is None else not self._player.playing,

@@ -10,7 +10,7 @@ the answer to the one before.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from importlib.resources import files
 
@@ -113,6 +113,7 @@ class Sonar(CompiledTask):
     hidden = (8,)
     weight_range = 0.1
     measure = Measure("error while learning", "error", "%", span=(0.0, 60.0))
+    epoch = TRAINING * HOLD
     frozen_figures = ("training_error", "test_error")
     readings = (
         Reading("pattern", steps=True), Reading("class", "mine 1, rock -1", steps=True),
@@ -148,22 +149,18 @@ class Sonar(CompiledTask):
         """Errors in %, counted over every step."""
         return Score(100.0 * (1.0 - tally.average_reward))
 
-    def evaluate(self, learner: Learner) -> dict[str, float]:
+    def evaluate(self, learner: Learner) -> dict[str, Array]:
         """Training and test error, as fractions, of a frozen copy in one pass over each set."""
         copy = learner.frozen_copy()
         order = learner.world[_ORDER:]
         copy.place(np.stack([_world(o, PATTERNS, shuffles=False) for o in order.T], axis=1))
-        start = copy.tally()
-        copy.advance(TRAINING * HOLD)
-        between = copy.tally()
-        copy.advance((PATTERNS - TRAINING) * HOLD)
         return {
-            "training_error": 1.0 - (between - start).average_reward,
-            "test_error": 1.0 - (copy.tally() - between).average_reward,
+            "training_error": _errors(copy.skip_tallied(TRAINING * HOLD)),
+            "test_error": _errors(copy.skip_tallied((PATTERNS - TRAINING) * HOLD)),
         }
 
     def results(self, learner: Learner, late: Tally) -> dict[str, float]:
-        return self.evaluate(learner)
+        return {name: float(v[learner.watch]) for name, v in self.evaluate(learner).items()}
 
     def read(self, states: Array) -> Array:
         """Patterns are counted from 1, as on the page."""
@@ -174,6 +171,11 @@ class Sonar(CompiledTask):
     def pose(self, state: Array) -> Pose:
         nothing = super().pose(state)
         return Pose(nothing.position, nothing.rotation, nothing.scale, words=_words(state))
+
+
+def _errors(tallies: Sequence[Tally]) -> Array:
+    """Fractions of steps with a wrong prediction, (lanes,)."""
+    return np.array([1.0 - t.average_reward for t in tallies])
 
 
 def _world(order: Array, length: int, *, shuffles: bool) -> Array:

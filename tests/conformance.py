@@ -234,7 +234,8 @@ def check_measures(make_task: MakeTask) -> None:
     before = learner.keyframe()
     figures = task.evaluate(learner)
     assert figures
-    assert all(isinstance(k, str) and np.isfinite(v) for k, v in figures.items())
+    assert all(isinstance(k, str) for k in figures)
+    assert all(v.shape == (learner.lanes,) and np.isfinite(v).all() for v in figures.values())
     after = learner.keyframe()
     assert _same([before.network, before.world], [after.network, after.world])
     assert learner.step == before.step

@@ -397,6 +397,46 @@ def on_screen(page: Page, live: Live, unit: int) -> tuple[float, float]:
     )
 
 
+# Many lanes
+
+
+def band(page: Page) -> list[float]:
+    """How wide the band of the learning curve is at each of its points."""
+    widths: list[float] = page.evaluate(
+        "() => { const plot = Object.values(window.__viserTestpoints.uplots)"
+        ".map(p => p.chart).find(c => (c.bands ?? []).length > 0);"
+        " if (!plot) return [];"
+        " const [high, low] = plot.bands[0].series.map(k => plot.data[k]);"
+        " return [...high].map((y, k) => y - low[k]).filter(Number.isFinite); }"
+    )
+    return widths
+
+
+def test_many_lanes_have_a_band_that_grows_while_one_is_watched(page: Page, live: Live) -> None:
+    send(live, Choose("sonar", "quick"), SetSpeed(4000.0))
+    expect(field(page, "task")).to_have_value("sonar")
+    expect(field(page, "lanes")).to_have_value("1")
+    expect(row(page, "lane")).to_have_count(0)
+    assert band(page) == []
+    field(page, "lanes").fill("64")
+    eventually(page, lambda: live.picture.lanes == 64)
+    run = live.picture.run_number
+    eventually(page, lambda: "64 lanes side by side, lane 0 watched" in text_of(page))
+    eventually(page, lambda: len(band(page)) > 2)
+    seen = band(page)
+    eventually(page, lambda: len(band(page)) > len(seen) + 2)
+    assert max(band(page)) > 1.0, "in %, of 64 lanes that differ"
+    field(page, "lane").fill("5")
+    eventually(page, lambda: live.picture.lane == 5)
+    field(page, "lane").blur()  # keys that are typed into a field are no commands
+    page.keyboard.press("h")
+    eventually(page, lambda: live.picture.lane == 6)
+    eventually(page, lambda: "64 lanes side by side, lane 6 watched" in text_of(page))
+    expect(field(page, "lane")).to_have_value("6")
+    assert live.picture.run_number == run, "the run goes on as it is"
+    assert "64 lanes = " in text_of(page)
+
+
 # The look
 
 

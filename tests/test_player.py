@@ -257,7 +257,7 @@ def test_a_fork_differs_in_one_thing_alone(kind: str) -> None:
     assert same_learner(fork.learner, other)
     assert not np.array_equal(fork.learner.weights, run.learner.weights)
     assert fork.learner.step == run.learner.step
-    assert [t.steps for t in fork.history.edges] == [t.steps for t in run.history.edges]
+    assert [t.steps for t in fork.history.edges()] == [t.steps for t in run.history.edges()]
 
 
 def test_a_fork_that_differs_in_nothing_is_the_same_run() -> None:

@@ -122,7 +122,7 @@ def test_the_run_is_back_to_the_bit(recorded: Recorded) -> None:
     run = again(recorded)
     assert same_learner(run.learner, recorded.run.learner)
     assert run.log == recorded.run.log
-    assert run.history.edges == recorded.run.history.edges
+    assert run.history.edges() == recorded.run.history.edges()
     assert run.history.window == recorded.run.history.window
 
 
@@ -148,13 +148,13 @@ def test_taking_over_with_nothing_changed_makes_the_same_rest(recorded: Recorded
     run.take_over(replay)
     assert run.learner.step == 831
     assert (
-        run.history.edges == tuple(t for t in recorded.run.history.edges if t.steps <= 831)
-        or run.history.edges == recorded.run.history.until(831).edges
+        run.history.edges() == tuple(t for t in recorded.run.history.edges() if t.steps <= 831)
+        or run.history.edges() == recorded.run.history.until(831).edges()
     )
     while run.learner.step < 1500:
         run.advance(1500 - run.learner.step)
     assert same_learner(run.learner, recorded.run.learner)
-    assert run.history.edges == recorded.run.history.edges
+    assert run.history.edges() == recorded.run.history.edges()
 
 
 def test_taking_over_can_be_undone(recorded: Recorded) -> None:
@@ -314,7 +314,7 @@ def test_a_recording_may_begin_anywhere(tmp_path: Path) -> None:
     assert (recording.header.step, recording.last_step) == (777, 1200)
     assert same_learner(back.learner, run.learner)
     assert back.log == run.log == [Logged(300, SetBeta(0.7))]
-    assert back.history.edges == run.history.edges
+    assert back.history.edges() == run.history.edges()
     assert back.tape.first == 777
 
 

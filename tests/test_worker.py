@@ -31,7 +31,7 @@ from server.commands import (
     StepOnce,
     Undo,
 )
-from server.history import CAPACITY, History
+from server.history import CAPACITY, History, Totals
 from server.picture import Picture
 from server.run import Run
 from server.watch import EXCERPT_SECONDS, LEAD, TAIL, Watch
@@ -150,7 +150,7 @@ def test_undo_returns_to_the_moment_before(change: Any) -> None:
     run.change(SetBeta(0.7))
     go_to(run, 500)
     before, log = run.learner.keyframe(), list(run.log)
-    curve = run.history.curve()
+    curve = run.history.curves().lane(0)
     run.change(change)
     go_to(run, 2000)
     assert run.undo() == str(change)
@@ -158,7 +158,7 @@ def test_undo_returns_to_the_moment_before(change: Any) -> None:
     assert_same(run.learner, fresh(run, 500))
     np.testing.assert_array_equal(run.learner.network, before.network)
     np.testing.assert_array_equal(run.learner.world, before.world)
-    np.testing.assert_array_equal(run.history.curve().end, curve.end)
+    np.testing.assert_array_equal(run.history.curves().lane(0).end, curve.end)
     run.undo()
     assert (run.learner.step, run.log, run.undo()) == (400, [], None)
 
@@ -217,7 +217,7 @@ def test_a_change_that_fails_leaves_nothing_to_undo() -> None:
 def test_windows_sum_to_the_totals(window: int, cuts: list[int], seed: int) -> None:
     """However the run is cut, no step is lost and none counted twice."""
     rewards = np.random.default_rng(seed).integers(-3, 4, sum(cuts)).astype(float)
-    history, step = History(window), 0
+    history, step = History(window, Totals(0, np.zeros((3, 1)))), 0
 
     def total(n: int) -> Tally:
         return Tally(n, rewards[:n].sum(), 2 * rewards[:n].sum(), float((rewards[:n] > 2).sum()))
@@ -226,8 +226,8 @@ def test_windows_sum_to_the_totals(window: int, cuts: list[int], seed: int) -> N
         end = step + cut
         while step < end:
             step += min(end - step, history.until_edge(step))
-            history.add(total(step))
-    curve = history.curve(total(step))
+            history.add(Totals.of_one(total(step)))
+    curve = history.curves(Totals.of_one(total(step))).lane(0)
     assert len(curve.end) <= CAPACITY + 1
     assert curve.window % window == 0
     assert step - (curve.end[-1] if len(curve.end) else 0) <= curve.window / 2

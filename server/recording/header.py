@@ -116,6 +116,15 @@ def known_rule(spec: str) -> Rule:
         raise BadRecording(f"its rule is not known here: {error}") from error
 
 
+def check_recordable(rule: Rule) -> None:
+    """Raise ValueError for a rule under which a lane alone, as it is recorded, is no run."""
+    if rule.least_lanes > 1:
+        raise ValueError(
+            f"a recording holds one lane, which under rule {rule.name} is no run of its own: "
+            "record under another rule"
+        )
+
+
 def versions() -> dict[str, str]:
     """The versions that a run's bits may depend on."""
     return {

@@ -35,6 +35,7 @@ def figures(recording: Recording) -> Figures:
         "network": header.topology.describe(),
         "rule": header.rule,
         "seed": header.seed,
+        "lane": header.first_lane,
         "first_step": header.step,
         "last_step": recording.last_step,
         "steps": steps,
@@ -64,8 +65,9 @@ def describe(found: Figures) -> str:
     seconds = f", {found['seconds']:,.2f} s of its own time" if found["seconds"] else ""
     whole = "whole" if found["whole"] else "cut short" if found["cut"] else "broken off"
     lines = [
-        f"{found['task']} {found['preset']}, {found['network']}, seed {found['seed']}, "
-        f"β {found['beta']:.6g}, γ {found['gamma']:.3g}"
+        f"{found['task']} {found['preset']}, {found['network']}, seed {found['seed']}"
+        + (f", lane {found['lane']}" if found["lane"] else "")
+        + f", β {found['beta']:.6g}, γ {found['gamma']:.3g}"
         + ("" if found["fall"] is None else f" falling over {found['fall']:.6g} steps")
         + ("" if found["rule"] == PAPER.name else f", rule {found['rule']}")
         + " at its start",

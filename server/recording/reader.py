@@ -17,7 +17,7 @@ from hebbviz.rules import Rule
 from hebbviz.rules.paper import PAPER
 from hebbviz.task import Tally, Task
 from server.commands import Logged
-from server.history import History
+from server.history import History, Totals
 from server.recording import messages
 from server.recording.chunks import Table, read, readable
 from server.recording.header import BadRecording, Header, change_from_json, known_rule
@@ -61,9 +61,9 @@ class Recording:
 
     def history(self) -> History:
         """The learning curve."""
-        made = History.of(self.header.window, self.header.edges)
+        made = History.of(self.header.window, [Totals.of_one(t) for t in self.header.edges])
         for total in self.edges:
-            made.add(total)
+            made.add(Totals.of_one(total))
         return made
 
     def run(self, make_task: MakeTask, task: Task, task_name: str | None = None) -> Run:

@@ -13,7 +13,7 @@ from hebbviz.task import Tally
 from server.commands import Logged
 from server.history import usual_window
 from server.recording import thinning
-from server.recording.header import Header, machine, versions
+from server.recording.header import Header, check_recordable, machine, versions
 from server.recording.status import Status
 from server.recording.take import CLOSE_SECONDS, Take
 from server.recording.targets import Target
@@ -27,8 +27,9 @@ class Recorder:
     """Records a run to a target, from now on.
 
     `budget` is in bytes a minute, see `thinning`; `on_notice` is told when it has to stop, after
-    which it never begins again. Raises ValueError if the run has several lanes, and OSError if the
-    target cannot be opened; later it raises nothing, so that the run goes on whatever happens.
+    which it never begins again. Of several lanes it records the watched one, as the run of its own
+    that it is. Raises OSError if the target cannot be opened, ValueError under a rule of which no
+    lane is a run of its own; later it raises nothing, so that the run goes on whatever happens.
     """
 
     def __init__(
@@ -40,8 +41,6 @@ class Recorder:
         detail: str = thinning.FULL,
         on_notice: Callable[[str], None],
     ) -> None:
-        if run.learner.lanes != 1:
-            raise ValueError(f"a recording holds one lane, got {run.learner.lanes}")
         self._target, self._budget, self._detail = target, budget, detail
         self._notice = on_notice
         self._takes: list[Take] = []
@@ -76,13 +75,13 @@ class Recorder:
 
     def keyframe(self, run: Run, moment: Moment) -> None:
         if self._open_take is not None:
-            self._open_take.keyframe(moment)
+            self._open_take.keyframe(moment.lane(run.learner.watch))
 
     def leap(self, run: Run, words: str) -> None:
         """End this take; the next one begins with the next step."""
         take, self._open_take = self._open_take, None
         if take is not None:
-            take.end(run.learner, run.moment(), words)
+            take.end(run.learner, run.moment().lane(run.learner.watch), words)
             self._error = take.error
 
     # For whoever started it
@@ -124,18 +123,21 @@ class Recorder:
         return self._open_take
 
     def _new_take(self, run: Run) -> Take:
+        check_recordable(run.learner.rule)
         task = run.make_task(run.task_name, run.learner.task.preset_name)
         target = copy(self._target)  # the take before may still be writing to its own file
         stream = target.open(len(self._takes) + 1)
         header = _header(run, self._budget, self._detail)
         weight = run.learner.weights[:, run.learner.watch]
         take = Take(stream, target, header, task, weight, on_notice=self._notice)
-        take.begin(run.learner, run.moment())
+        take.begin(run.learner, run.moment().lane(run.learner.watch))
         self._takes.append(take)
         return take
 
 
 def _in_words(error: Exception) -> str:
+    if isinstance(error, ValueError):
+        return str(error)
     if isinstance(error, FileExistsError):
         return f"{error.filename} exists already and is not written over"
     if isinstance(error, OSError):
@@ -148,9 +150,9 @@ def _header(run: Run, budget: int, detail: str) -> Header:
     window = usual_window(task)
     return Header(
         task=run.task_name, preset=task.preset_name, topology=learner.topology,
-        seed=learner.seed, first_lane=learner.first_lane, rule=str(learner.rule),
+        seed=learner.seed, first_lane=learner.first_lane + learner.watch, rule=str(learner.rule),
         beta=learner.beta, gamma=learner.gamma, fall=learner.fall, dt=task.dt, step=learner.step,
-        window=run.history.window, edges=run.history.edges, log=tuple(run.log),
+        window=run.history.window, edges=run.history.edges(learner.watch), log=tuple(run.log),
         kept_window=window, detail=detail, budget=budget,
         thinning=thinning.rule(window, budget, detail), versions=versions(), machine=machine(),
     )  # fmt: skip

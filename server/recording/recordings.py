@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hebbviz.rules import Rule
 from server.recording import thinning
+from server.recording.header import check_recordable
 from server.recording.status import Status
 from server.run import Run
 
@@ -40,8 +42,7 @@ class Options:
 class Recordings:
     """Starts and stops them, those that the options ask for at once.
 
-    Raises OSError, FileExistsError for a file of that name, and ValueError for a run of several
-    lanes.
+    Raises OSError, FileExistsError for a file of that name.
     """
 
     def __init__(self, run: Run, options: Options, *, on_notice: Callable[[str], None]) -> None:
@@ -109,6 +110,11 @@ class Recordings:
         """Whether a recording into a file goes on."""
         on = self._file is not None and self._file in self._run.followers
         return on and self.status is not None and self.status.error is None
+
+    def check_rule(self, rule: Rule) -> None:
+        """Raise ValueError if a recording goes on that the run cannot go on in under this rule."""
+        if any(r in self._run.followers and r.status.error is None for r in self._begun):
+            check_recordable(rule)
 
     @property
     def status(self) -> Status | None:

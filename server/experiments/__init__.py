@@ -1,0 +1,15 @@
+"""Experiments: many independent lanes of a task, on all cores or over a Dask cluster.
+
+`plan` says what is run, `share` is the piece of it that a worker does, `workers` who does it,
+`store` keeps what was done on disk, and `run` brings it to its end: interrupted at any moment, it
+goes on from there. What comes of it are `Curves`.
+"""
+
+from server.experiments.plan import Curves, Plan
+from server.experiments.run import Done, Interrupted, finish, run, run_all
+from server.experiments.workers import LostWorkers, Workers, open_workers
+
+__all__ = [
+    "Curves", "Done", "Interrupted", "LostWorkers", "Plan", "Workers", "finish", "open_workers",
+    "run", "run_all",
+]  # fmt: skip

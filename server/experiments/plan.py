@@ -1,0 +1,155 @@
+"""What an experiment runs, and what comes of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+import hebbviz
+from hebbviz.learner import Learner
+from hebbviz.task import Tally, Task
+from sims.loading import make_task
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """Lanes of one task, from their start, in equal segments: the points of a learning curve.
+
+    Lane k of a seed is the same run in every plan, whatever lanes stand beside it. A plan can be
+    pickled, and as JSON it is the name under which what was done is kept.
+
+    Parameters
+    ----------
+    task, preset : by name, or a user's own as path.py:Name, which workers elsewhere look for at
+        the same whole path.
+    hidden, beta, gamma : None for those of the task and its preset.
+    lanes : how many replicas, from number `first_lane` on.
+    segments, segment_steps : points of the curve, and steps of each.
+    evaluate : a frozen copy is evaluated before the first segment and after every so many; 0 for
+        never.
+    options : whatever else a `Learner` takes by keyword; numbers and strings.
+    """
+
+    task: str
+    preset: str | None = None
+    hidden: tuple[int, ...] | None = None
+    beta: float | None = None
+    gamma: float | None = None
+    seed: int = 0
+    first_lane: int = 0
+    lanes: int = 16
+    segments: int
+    segment_steps: int
+    evaluate: int = 0
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, least in (("lanes", 1), ("segments", 1), ("segment_steps", 1), ("evaluate", 0)):
+            if getattr(self, name) < least:
+                raise ValueError(f"{name} must be {least} or more, got {getattr(self, name)}")
+
+    @property
+    def steps(self) -> int:
+        """Steps of each lane in all."""
+        return self.segments * self.segment_steps
+
+    def make_task(self) -> Task:
+        """The task at its preset; raises ValueError and TaskError as `make_task` does."""
+        return make_task(self.task, self.preset)
+
+    def learner(self, first_lane: int, lanes: int) -> Learner:
+        """Some of the lanes at their start; raises ValueError and TaskError as `Learner` does."""
+        return Learner(
+            self.make_task(), hidden=self.hidden, beta=self.beta, gamma=self.gamma, seed=self.seed,
+            first_lane=first_lane, lanes=lanes, **self.options,
+        )  # fmt: skip
+
+    def for_workers(self) -> Self:
+        """This plan with the whole path of a user's own task, for workers in other folders."""
+        file, colon, name = self.task.rpartition(":")
+        if not file.endswith(".py"):
+            return self
+        return replace(self, task=f"{Path(file).resolve()}{colon}{name}")
+
+    def evaluates_at(self, step: int) -> bool:
+        """Whether a frozen copy is evaluated at this step, which is the end of a segment, or 0."""
+        return self.evaluate > 0 and step % (self.evaluate * self.segment_steps) == 0
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    def digest(self) -> str:
+        """Tells this plan from all others, under this version and with this text of a user's task,
+        wherever its file is.
+
+        Raises OSError if that file cannot be read.
+        """
+        file, _, name = self.task.rpartition(":")
+        task = [name, Path(file).read_text() if file.endswith(".py") else ""]
+        content = json.dumps([hebbviz.__version__, self.to_json() | {"task": task}], sort_keys=True)
+        return hashlib.sha256(content.encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Curves:
+    """What came of a plan, lane by lane.
+
+    `end` (segments,) is the step at the end of each segment; `reward`, `broadcast` and `ended`
+    (lanes, segments) are totals over the segment, of `steps` each. Frozen copies were evaluated at
+    the steps `evaluated_at` (k,); `figures` (lanes, k) by the names of `Task.evaluate`.
+    """
+
+    end: NDArray[np.int64]
+    steps: int
+    reward: Array
+    broadcast: Array
+    ended: Array
+    evaluated_at: NDArray[np.int64]
+    figures: Mapping[str, Array]
+
+    def tally(self, lane: int, segments: slice = slice(None)) -> Tally:
+        """Totals of one lane over some of the segments, by default all."""
+        reward, broadcast, ended = (
+            a[lane, segments] for a in (self.reward, self.broadcast, self.ended)
+        )
+        return Tally(self.steps * len(reward), reward.sum(), broadcast.sum(), ended.sum())
+
+    def scores(self, task: Task) -> tuple[Array, NDArray[np.bool_]]:
+        """The task's measure of every segment, (lanes, segments), and where it is a bound only."""
+        lanes, segments = self.reward.shape
+        found = [
+            [task.score(self.tally(lane, slice(k, k + 1))) for k in range(segments)]
+            for lane in range(lanes)
+        ]
+        return (
+            np.array([[s.value for s in lane] for lane in found]),
+            np.array([[s.is_bound for s in lane] for lane in found], dtype=np.bool_),
+        )
+
+    def last(self, part: float = 0.2) -> list[Tally]:
+        """Totals of each lane over the last part of its segments, at least one."""
+        count = max(1, round(part * len(self.end)))
+        return [self.tally(lane, slice(-count, None)) for lane in range(len(self.reward))]
+
+
+def joined(curves: Sequence[Curves]) -> Curves:
+    """Curves of the same steps, their lanes one after another."""
+    first = curves[0]
+
+    def stacked(name: str) -> Array:
+        return np.concatenate([getattr(c, name) for c in curves])
+
+    return Curves(
+        first.end, first.steps, stacked("reward"), stacked("broadcast"), stacked("ended"),
+        first.evaluated_at,
+        {name: np.concatenate([c.figures[name] for c in curves]) for name in first.figures},
+    )  # fmt: skip

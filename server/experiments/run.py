@@ -1,0 +1,180 @@
+"""Plans brought to their end by workers, and kept on disk at every step of the way.
+
+The driver holds every tile and gives it to a worker for a few seconds at a time. Interrupted, it
+waits for the shares under way, keeps them, and says so; killed, it loses them and nothing else.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+from hebbviz.learner import Learner
+from server.experiments.plan import Curves, Plan, joined
+from server.experiments.share import Tile
+from server.experiments.store import Store
+from server.experiments.workers import Workers
+
+TILE = 64
+"""Most lanes of a tile: the compiled loop is fastest with so many."""
+
+_LOOK_SECONDS = 0.1
+
+
+class Interrupted(Exception):
+    """The run was asked to stop, and what was done is kept."""
+
+
+def run(
+    plan: Plan,
+    workers: Workers,
+    *,
+    folder: Path | None = None,
+    stop: threading.Event | None = None,
+    progress: Callable[[float], object] | None = None,
+) -> Curves:
+    """Bring a plan to its end, from where `folder` has it.
+
+    What is done is kept in `folder`, in a folder of the plan's own; None keeps nothing. Once
+    `stop` is set, the shares under way are waited for and kept. `progress` is called with the
+    fraction that is done, from 0 to 1, at the start and whenever a share is.
+
+    Raises
+    ------
+    Interrupted
+        Once `stop` is set and what was done is kept.
+    TaskError, ValueError
+        If the task fails or does not take what the plan gives it.
+    BadFile, OSError
+        If what was kept is damaged, or cannot be read or written.
+    """
+    return run_all([plan], workers, folder=folder, stop=stop, progress=progress)[0]
+
+
+def run_all(
+    plans: Sequence[Plan],
+    workers: Workers,
+    *,
+    folder: Path | None = None,
+    stop: threading.Event | None = None,
+    progress: Callable[[float], object] | None = None,
+) -> list[Curves]:
+    """`run` for several plans at once: the workers go from one to the next without a pause."""
+    return [
+        done.curves()
+        for done in finish(plans, workers, folder=folder, stop=stop, progress=progress)
+    ]
+
+
+def finish(
+    plans: Sequence[Plan],
+    workers: Workers,
+    *,
+    folder: Path | None = None,
+    stop: threading.Event | None = None,
+    progress: Callable[[float], object] | None = None,
+) -> list[Done]:
+    """`run_all`, for the learners at the end as well."""
+    driver = _Driver(plans, workers, folder)
+    driver.run(threading.Event() if stop is None else stop, progress or (lambda _: None))
+    return driver.done()
+
+
+@dataclass(frozen=True)
+class Done:
+    """A plan at its end."""
+
+    plan: Plan
+    tiles: tuple[Tile, ...]
+
+    def curves(self) -> Curves:
+        return joined([tile.curves(self.plan) for tile in self.tiles])
+
+    def learner(self, lane: int) -> Learner:
+        """A learner of one lane as it is at the end; the first lane of the plan is 0."""
+        number = self.plan.first_lane + lane
+        tile = next(t for t in self.tiles if t.first_lane <= number < t.first_lane + t.lanes)
+        assert tile.keyframe is not None
+        learner = self.plan.learner(number, 1)
+        learner.restore(tile.keyframe.lane(number - tile.first_lane))
+        return learner
+
+
+class _Driver:
+    def __init__(self, plans: Sequence[Plan], workers: Workers, folder: Path | None) -> None:
+        self._plans, self._workers = plans, workers
+        self._stores = [None if folder is None else Store(folder, plan) for plan in plans]
+        self._tiles: list[dict[int, Tile]] = []
+        pieces = -(-workers.count() // len(plans))
+        for plan, store in zip(plans, self._stores, strict=True):
+            kept = [] if store is None else store.read()
+            self._tiles.append({t.first_lane: t for t in _completed(plan, kept, pieces)})
+        self._waiting = deque(
+            (k, tile)
+            for k, plan in enumerate(plans)
+            for tile in self._tiles[k].values()
+            if tile.step < plan.steps
+        )
+        self._running: dict[Future[Tile], int] = {}
+
+    def run(self, stop: threading.Event, progress: Callable[[float], object]) -> None:
+        progress(self._fraction())
+        while self._waiting or self._running:
+            if not stop.is_set():
+                self._submit()
+            elif not self._running:
+                raise Interrupted
+            for share in wait(self._running, _LOOK_SECONDS, FIRST_COMPLETED).done:
+                self._take(self._running.pop(share), self._workers.result(share))
+                progress(self._fraction())
+
+    def done(self) -> list[Done]:
+        tiles = (tuple(t.values()) for t in self._tiles)
+        return [Done(*found) for found in zip(self._plans, tiles, strict=True)]
+
+    def _submit(self) -> None:
+        """As many shares as there are workers: one that waits could not be told from a running one
+        once the run is to stop.
+        """
+        room = max(1, self._workers.count()) - len(self._running)
+        for _ in range(min(room, len(self._waiting))):
+            k, tile = self._waiting.popleft()
+            self._running[self._workers.submit(self._plans[k].for_workers(), tile)] = k
+
+    def _take(self, k: int, tile: Tile) -> None:
+        self._tiles[k][tile.first_lane] = tile
+        store = self._stores[k]
+        if store is not None:
+            store.write(tile)
+        if tile.step < self._plans[k].steps:
+            self._waiting.append((k, tile))
+
+    def _fraction(self) -> float:
+        done = sum(t.step * t.lanes for tiles in self._tiles for t in tiles.values())
+        return done / sum(plan.steps * plan.lanes for plan in self._plans)
+
+
+def _completed(plan: Plan, kept: Sequence[Tile], pieces: int) -> list[Tile]:
+    """All tiles of a plan: those that were kept, and of the lanes between them new ones."""
+    tiles: list[Tile] = []
+    lane, end = plan.first_lane, plan.first_lane + plan.lanes
+    for tile in (*kept, Tile(end, 0)):
+        tiles += _cut(lane, tile.first_lane - lane, pieces)
+        tiles.append(tile)
+        lane = tile.first_lane + tile.lanes
+    return tiles[:-1]
+
+
+def _cut(first: int, lanes: int, pieces: int) -> list[Tile]:
+    """Lanes in tiles of nearly equal size, at most TILE, and as many as `pieces` if there can be.
+
+    Where it is cut changes no lane.
+    """
+    count = min(lanes, max(pieces, -(-lanes // TILE)))
+    ends = [first + lanes * k // count for k in range(count + 1)] if count else []
+    return [Tile(a, b - a) for a, b in pairwise(ends)]

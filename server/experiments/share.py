@@ -1,0 +1,131 @@
+"""The piece of a plan that a worker does: a tile of lanes, brought on for a few seconds.
+
+A worker keeps nothing: it is given how far the tile has come and returns how far it has brought
+it. So any worker can go on from there, and one that dies costs no more than its last few seconds.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+import hebbviz
+from hebbviz.learner import Learner
+from hebbviz.moments import Keyframe
+from server.experiments.plan import Curves, Plan
+from server.stretches import stretches
+
+Array = NDArray[np.float64]
+
+STRETCH_SECONDS = 0.25
+"""A share may last longer than it was to by about this, or by an evaluation."""
+
+
+class WrongVersion(RuntimeError):
+    """A worker runs another version of the program, which may not make the same run."""
+
+
+@dataclass(frozen=True)
+class Tile:
+    """Lanes that are run side by side, and how far they have come.
+
+    `keyframe` is None before anything was done. `totals` (segments done, 3, lanes) are those
+    since the start, of reward, broadcast reward and ended episodes, at the end of each segment;
+    `figures` (evaluations done, lanes) by the names of `Task.evaluate`.
+    """
+
+    first_lane: int
+    lanes: int
+    keyframe: Keyframe | None = None
+    totals: Array = field(default_factory=lambda: np.zeros((0, 3, 0)))
+    figures: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def step(self) -> int:
+        return 0 if self.keyframe is None else self.keyframe.step
+
+    def learner(self, plan: Plan) -> Learner:
+        """The tile's lanes as they are now."""
+        learner = plan.learner(self.first_lane, self.lanes)
+        if self.keyframe is not None:
+            learner.restore(self.keyframe)
+        return learner
+
+    def curves(self, plan: Plan) -> Curves:
+        """What came of the segments that are done."""
+        ends = plan.segment_steps * np.arange(1, len(self.totals) + 1)
+        start = np.zeros((1, 3, self.lanes))
+        sums = np.diff(np.concatenate([start, self.totals]), axis=0)
+        at = [s for s in (0, *ends.tolist()) if plan.evaluates_at(s)]
+        return Curves(
+            end=ends,
+            steps=plan.segment_steps,
+            reward=sums[:, 0].T.copy(),
+            broadcast=sums[:, 1].T.copy(),
+            ended=sums[:, 2].T.copy(),
+            evaluated_at=np.array(at, dtype=np.int64),
+            figures={name: values.T.copy() for name, values in self.figures.items()},
+        )
+
+
+def bring_on(plan: Plan, tile: Tile, seconds: float, version: str) -> Tile:
+    """The tile after about `seconds` more, or at the plan's end.
+
+    What it has come through is a function of the plan and its lanes alone: how it was cut into
+    shares tells only where a share ends. Raises TaskError if the task fails, and WrongVersion.
+    """
+    if version != hebbviz.__version__:
+        raise WrongVersion(
+            f"a worker runs hebbviz {hebbviz.__version__}, this is {version}: install the same "
+            "version for all workers"
+        )
+    share = _Share(plan, tile)
+    share.run(time.monotonic() + seconds)
+    return share.tile()
+
+
+class _Share:
+    """A tile at work."""
+
+    def __init__(self, plan: Plan, tile: Tile) -> None:
+        self._plan, self._tile = plan, tile
+        self._learner = tile.learner(plan)
+        self._totals = list(tile.totals)
+        self._figures = {name: list(values) for name, values in tile.figures.items()}
+        if tile.keyframe is None:
+            self._evaluate()
+
+    def run(self, deadline: float) -> None:
+        """Go on until the deadline, or to the end of the plan."""
+        plan, learner = self._plan, self._learner
+        while learner.step < plan.steps:
+            left = plan.segment_steps - learner.step % plan.segment_steps
+            for steps in stretches(left, STRETCH_SECONDS):
+                learner.skip(steps)
+                if time.monotonic() > deadline:
+                    break
+            if learner.step % plan.segment_steps == 0:
+                self._totals.append(self._tally())
+                self._evaluate()
+            if time.monotonic() > deadline:
+                break
+
+    def tile(self) -> Tile:
+        tile = self._tile
+        return Tile(
+            tile.first_lane, tile.lanes, self._learner.keyframe(),
+            np.array(self._totals).reshape(-1, 3, tile.lanes),
+            {name: np.array(values) for name, values in self._figures.items()},
+        )  # fmt: skip
+
+    def _tally(self) -> Array:
+        return np.array([[t.reward, t.broadcast, t.ended] for t in self._learner.tallies()]).T
+
+    def _evaluate(self) -> None:
+        if self._plan.evaluates_at(self._learner.step):
+            for name, values in self._learner.task.evaluate(self._learner).items():
+                self._figures.setdefault(name, []).append(values)

@@ -1,0 +1,185 @@
+"""Who does the shares: threads or processes of this machine, or the workers of a Dask cluster."""
+
+# ruff: noqa: PLC0415  # Dask is an extra, and heavy
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
+from typing import Any, Protocol
+
+import hebbviz
+from hebbviz.task import CompiledTask
+from server.experiments.plan import Plan
+from server.experiments.share import Tile, bring_on
+from server.terminal import InputError
+
+SHARE_SECONDS = 3.0
+"""How long a worker is busy with a share: what a kill may cost, and Ctrl-C may take."""
+
+CONNECT_SECONDS = 10.0
+COUNT_SECONDS = 0.5
+"""The workers of a cluster are counted so often."""
+
+
+class LostWorkers(RuntimeError):
+    """The workers are gone for good; what was done is kept."""
+
+
+class Workers(Protocol):
+    """Those who do shares, through executors of `concurrent.futures`."""
+
+    def count(self) -> int:
+        """How many shares can be done at once, as things are now."""
+
+    def submit(self, plan: Plan, tile: Tile) -> Future[Tile]:
+        """Have a tile brought on by a share."""
+
+    def result(self, share: Future[Tile]) -> Tile:
+        """What came of a share that is done; raises what it raised, and LostWorkers."""
+
+
+@contextlib.contextmanager
+def open_workers(scheduler: str | None = None) -> Iterator[Workers]:
+    """All cores of this machine, or the workers of the Dask scheduler at an address.
+
+    Raises InputError if Dask is not installed, nothing answers there, or no worker is to be had.
+    """
+    workers = _Cores() if scheduler is None else _Cluster(scheduler)
+    try:
+        yield workers
+    finally:
+        workers.close()
+
+
+class _Cores:
+    """The cores of this machine.
+
+    Compiled loops release the GIL, so that threads use all cores; a world that is stepped by
+    Python gets processes, which start only if there is one.
+    """
+
+    def __init__(self) -> None:
+        self._cores = _cores()
+        self._executors: dict[bool, Executor] = {}
+
+    def count(self) -> int:
+        return self._cores
+
+    def submit(self, plan: Plan, tile: Tile) -> Future[Tile]:
+        threads = isinstance(plan.make_task(), CompiledTask)
+        if threads not in self._executors:
+            self._executors[threads] = self._threads() if threads else self._processes()
+        return _submit(self._executors[threads], plan, tile)
+
+    def result(self, share: Future[Tile]) -> Tile:
+        try:
+            return share.result()
+        except BrokenExecutor as error:
+            raise LostWorkers("a process that did a share of the work died") from error
+
+    def close(self) -> None:
+        for executor in self._executors.values():
+            executor.shutdown(wait=False, cancel_futures=True)
+
+    def _threads(self) -> Executor:
+        return ThreadPoolExecutor(self._cores, thread_name_prefix="hebbviz lanes")
+
+    def _processes(self) -> Executor:
+        return ProcessPoolExecutor(
+            self._cores, multiprocessing.get_context("spawn"), initializer=_begin_process
+        )
+
+
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _begin_process() -> None:
+    """Leave Ctrl-C to the program that began this process, and end with it, however it ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def follow() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+class _Cluster:
+    """The workers of a Dask scheduler; they may come and go.
+
+    Dask gives the share of a worker that died to another one.
+    """
+
+    def __init__(self, address: str) -> None:
+        try:
+            from distributed import Client
+        except ImportError as error:
+            raise InputError('--scheduler needs Dask: pip install "hebbviz[cluster]"') from error
+        self._address = address
+        for name in ("distributed", "distributed.client"):  # what matters comes as an exception
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+        try:
+            self._client: Any = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+        except (OSError, ValueError, RuntimeError) as error:  # OSError: a TimeoutError too
+            raise InputError(
+                f"no Dask scheduler answers at {address}: start one with 'dask scheduler', or "
+                "mend the address"
+            ) from error
+        try:
+            self._client.wait_for_workers(1, timeout=CONNECT_SECONDS)
+        except OSError as error:
+            self.close()
+            raise InputError(
+                f"the scheduler at {address} has no workers: start some with "
+                f"'dask worker {address}'"
+            ) from error
+        self._threads, self._counted_at = 0, -COUNT_SECONDS
+        self._executor = self._client.get_executor(pure=False)
+
+    def count(self) -> int:
+        if time.monotonic() - self._counted_at > COUNT_SECONDS:
+            try:
+                self._threads = sum(self._client.nthreads().values())
+            except OSError as error:
+                raise self._lost() from error
+            self._counted_at = time.monotonic()
+        return self._threads
+
+    def submit(self, plan: Plan, tile: Tile) -> Future[Tile]:
+        return _submit(self._executor, plan, tile)
+
+    def result(self, share: Future[Tile]) -> Tile:
+        try:
+            return share.result()
+        except CancelledError as error:
+            raise self._lost() from error
+
+    def _lost(self) -> LostWorkers:
+        return LostWorkers(f"the Dask scheduler at {self._address} is gone")
+
+    def close(self) -> None:
+        self._client.close(timeout=CONNECT_SECONDS)
+
+
+def _submit(executor: Executor, plan: Plan, tile: Tile) -> Future[Tile]:
+    return executor.submit(bring_on, plan, tile, SHARE_SECONDS, hebbviz.__version__)

@@ -1,0 +1,117 @@
+"""`hebbviz figure`: run what a figure needs, or go on with it, and write its files."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import shutil
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm  # type: ignore[import-untyped]
+
+from hebbviz import __version__
+from server.experiments import Curves, Interrupted, Plan, open_workers, run_all
+from server.figures.order import Order
+from server.figures.sheet import Origin, Sheet, save
+from server.terminal import InputError, check_writable, reason
+from server.train import announced_on_terminal
+
+_BAR = "{desc} {percentage:3.0f} %|{bar}| {elapsed} gone, {remaining} left"
+_REDRAW_SECONDS, _LOG_SECONDS = 0.2, 15.0
+"""Between two states of the bar, on a terminal and in a file."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a figure's runs are done with: by whom, where they are kept, and how they are stopped.
+
+    `folder` holds what is unfinished; it is gone once the figure is there.
+    """
+
+    folder: Path
+    stop: threading.Event = field(default_factory=threading.Event)
+    progress: Callable[[float], object] = lambda _: None
+    scheduler: str | None = None
+
+    def curves(self, plans: Sequence[Plan]) -> list[Curves]:
+        """What comes of the plans; raises `experiments.Interrupted` once it is to stop."""
+        with open_workers(self.scheduler) as workers:
+            return run_all(
+                plans, workers, folder=self.folder, stop=self.stop, progress=self.progress
+            )
+
+
+def make(order: Order, stop: threading.Event) -> dict[str, Any] | None:
+    """Make the figure of an order; returns what it comes to, fit for strict JSON.
+
+    None once `stop` was set: what was done is kept. Raises InputError, ValueError, TaskError and
+    OSError for what the user can mend.
+    """
+    prepare_folder(order.out)
+    began = time.perf_counter()
+    folder = unfinished(order)
+    try:
+        with progress_bar(f"figure {order.name}") as progress:
+            sheet = draw(order, Work(folder, stop, progress, order.scheduler))
+    except Interrupted:
+        return None
+    origin = Origin(order.command, order.seed)
+    files = save(sheet, order.out, order.name, origin)
+    shutil.rmtree(folder, ignore_errors=True)
+    return {
+        "figure": order.name, "files": [str(path) for path in files], "command": order.command,
+        "version": __version__, "seed": order.seed, "quick": order.quick,
+        "seconds": time.perf_counter() - began, **sheet.numbers,
+    }  # fmt: skip
+
+
+def prepare_folder(folder: Path) -> None:
+    """Make the folder for results; raises InputError if nothing can be written there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"cannot make the folder {folder}: {reason(error)}; choose another for --out"
+        ) from error
+    check_writable(folder)
+
+
+def draw(order: Order, work: Work) -> Sheet:
+    """Run and draw it, and say on a terminal if that begins with a minute of compiling."""
+    with announced_on_terminal():
+        sheet: Sheet = import_module(f"server.figures.{order.name}").make(order, work)
+    return sheet
+
+
+def unfinished(order: Order) -> Path:
+    """The folder for what is done of it, beside the files to come."""
+    digest = hashlib.sha256(order.command.encode()).hexdigest()[:8]
+    return order.out / f"{order.name}-unfinished-{digest}"
+
+
+@contextlib.contextmanager
+def progress_bar(name: str) -> Iterator[Callable[[float], object]]:
+    """A bar on stderr with the time left, from the first fraction that is told."""
+    bars: list[Any] = []
+
+    def show(fraction: float) -> None:
+        if not bars:
+            seconds = _REDRAW_SECONDS if sys.stderr.isatty() else _LOG_SECONDS
+            bars.append(
+                tqdm(desc=name, total=1.0, initial=fraction, bar_format=_BAR, file=sys.stderr,
+                     mininterval=seconds)
+            )  # fmt: skip
+        bars[0].update(fraction - bars[0].n)
+
+    try:
+        yield show
+    finally:
+        for bar in bars:
+            bar.close()

@@ -1,0 +1,98 @@
+"""What figures of learning curves share: a plan's setting in words, runs as columns, strokes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from hebbviz.task import Measure, Task
+    from server.experiments import Curves, Plan
+    from server.figures.scales import Course
+    from server.figures.sheet import Color
+
+Array = NDArray[np.float64]
+
+
+def setting(plan: Plan) -> dict[str, Any]:
+    """With what a plan is run, its defaults filled in."""
+    learner = plan.learner(plan.first_lane, 1)
+    return {
+        "task": plan.task, "preset": learner.task.preset_name,
+        "network": learner.topology.describe(), "beta": learner.beta, "gamma": learner.gamma,
+        "lanes": plan.lanes,
+    }  # fmt: skip
+
+
+def words_of(plan: Plan) -> str:
+    """`setting` in a line, but for the lanes."""
+    s = setting(plan)
+    return f"{s['network']}, β {s['beta']:g}, γ {shown(s['gamma'])}"
+
+
+def shown(number: float) -> str:
+    """As 0.01, and 10⁻⁶ in place of 1e-06."""
+    digits, _, exponent = f"{number:g}".partition("e")
+    if not exponent:
+        return digits
+    power = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return f"10{power}" if digits == "1" else f"{digits}·10{power}"
+
+
+def finite(value: Any) -> float | None:
+    """Fit for strict JSON."""
+    return float(value) if np.isfinite(value) else None
+
+
+def lane_columns(name: str, values: NDArray[Any]) -> dict[str, list[Any]]:
+    """A column for each lane of (lanes, n)."""
+    return {f"{name}_{k}": lane.tolist() for k, lane in enumerate(values)}
+
+
+def course_columns(measure: Measure, course: Course) -> dict[str, list[Any]]:
+    """The median and each lane's values, and where those are a lower bound only."""
+    return {
+        f"{measure.key}_median": course.median.tolist(),
+        **lane_columns(measure.key, course.values),
+        **lane_columns("is_lower_bound", course.is_bound.astype(int)),
+    }
+
+
+def draw_course(axes: Axes, course: Course, step: float, shade: Color) -> None:
+    """Each run faint, the median bold; a dot where most runs are at least there.
+
+    `step` is the time of a step on the horizontal axis.
+    """
+    times = course.steps * step
+    axes.plot(times, course.values.T, color=shade, lw=0.7, alpha=0.35)
+    axes.plot(times, course.median, color=shade, lw=2.2)
+    bound = course.is_bound.mean(axis=0) >= 0.5
+    axes.plot(times[bound], course.median[bound], "o", color=shade, ms=3.5, mfc="white")
+
+
+def set_measure_axis(axes: Axes, measure: Measure) -> None:
+    """The vertical axis of a task's measure."""
+    unit = f", {measure.unit}" if measure.unit else ""
+    axes.set_ylabel(f"{measure.name}{unit}")
+    if measure.logarithmic:
+        axes.set_yscale("log")
+    if measure.span is not None:
+        low, high = measure.span
+        axes.set_ylim(low, max(high, axes.dataLim.y1))
+
+
+def outcome(task: Task, course: Course, curves: Curves) -> dict[str, Any]:
+    """The measure over the last fifth of all steps, as `hebbviz train` has it, and its median;
+    and the median at the end of the curve, over the last stretch that is drawn.
+    """
+    key, last = task.measure.key, [task.score(tally) for tally in curves.last()]
+    return {
+        key: [finite(s.value) for s in last],
+        f"{key}_median": finite(np.median([s.value for s in last])),
+        f"{key}_median_at_end": finite(course.median[-1]),
+        "is_lower_bound": [bool(s.is_bound) for s in last],
+    }

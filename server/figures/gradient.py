@@ -1,0 +1,177 @@
+"""How the rule's estimate comes to the true gradient: the angle between them, for several β.
+
+    Δw / (γ t), where w stands as good as still, is the mean of r z over t steps
+
+of a real learner in the lamps, 2-3-1. It goes to E[r z], which lies at an angle of its own from
+∇η, the bias of β: a short trace forgets what came late. A long one takes longer to come there:
+it gathers the noise of all rewards in between. What is drawn beside it is exact, from
+`hebbviz.exact`: the bias, and the expected angle after t steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.learner import Learner
+from hebbviz.task import Task
+from server import palette
+from server.experiments import Curves, Plan
+from server.figures.scales import scales, spaced
+from server.figures.sheet import INK, SMALL, Sheet, Table, blank, color, look, mark_end
+from sims.lamps import Lamps, small_example
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hebbviz.chain import Chain
+    from server.figures.command import Work
+    from server.figures.order import Order
+
+Array = NDArray[np.float64]
+
+BETAS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99)
+STILL = 1e-9
+"""A step size at which the weights move by less than 1e-3 in 10⁷ steps."""
+
+_POINTS = 100
+"""Evaluations of a plan."""
+_COLORS = tuple(color(palette.SERIES[k]) for k in (4, 1, 3, 2, 5, 0))
+
+
+class Watched(Lamps):
+    """The lamps with the weights of `small_example`, evaluated by how the estimate points."""
+
+    name = "gradient"
+
+    def __init__(self) -> None:
+        super().__init__()
+        network, self._weights = small_example()
+        self._truth = network.at(self._weights).gradient
+
+    def initial_weights(self, draws: Array) -> Array:
+        return self._weights.copy()
+
+    def evaluate(self, learner: Learner) -> dict[str, Array]:
+        """The angle from Δw, which is γ t times the mean of r z, to ∇η in degrees, (lanes,)."""
+        return {"angle": angles(learner.weights - self._weights[:, None], self._truth)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Watching(Plan):
+    """A plan of the task above, which has no name on the command line."""
+
+    task: str = Watched.name
+
+    def make_task(self) -> Task:
+        return Watched()
+
+
+def angles(estimates: Array, truth: Array) -> Array:
+    """Degrees between `truth` (K,) and each of the estimates (K, n); 90 for one that is zero."""
+    lengths = np.linalg.norm(estimates, axis=0) * np.linalg.norm(truth)
+    cosine = (truth @ estimates) / np.where(lengths > 0.0, lengths, 1.0)
+    degrees: Array = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return degrees
+
+
+def make(order: Order, work: Work) -> Sheet:
+    """Default 16 estimates of 10⁷ steps; quick 4 of 10⁵."""
+    lanes = order.lanes or (4 if order.quick else 16)
+    steps = 10**5 if order.quick else 10**7
+    plans = [p for beta in BETAS for p in _plans(beta, lanes, steps, order.seed)]
+    found = work.curves(plans)
+    each = len(plans) // len(BETAS)
+    network, weights = small_example()
+    chain = network.at(weights)
+    courses = [
+        _course(beta, found[k * each : (k + 1) * each], chain) for k, beta in enumerate(BETAS)
+    ]
+    with look():
+        figure = _draw(courses, lanes)
+    numbers: dict[str, Any] = {
+        "lanes": lanes, "steps": steps, "beta": list(BETAS),
+        "angle": [float(c.angle[:, -1].mean()) for c in courses],
+        "bias": [c.bias for c in courses],
+        "expected_angle": [float(c.expected[-1]) for c in courses],
+    }  # fmt: skip
+    note = f"quick: {lanes} estimates of {steps:,} steps in place of 16 of 10,000,000"
+    return Sheet(figure, _table(courses), numbers, note if order.quick else "")
+
+
+def _plans(beta: float, lanes: int, steps: int, seed: int) -> list[Watching]:
+    whole = Watching(
+        beta=beta, gamma=STILL, seed=seed, lanes=lanes, segments=_POINTS,
+        segment_steps=steps // _POINTS, evaluate=1,
+    )  # fmt: skip
+    return scales(whole, first=100 * _POINTS)
+
+
+@dataclass(frozen=True)
+class _Course:
+    """Of one β: steps (n,), the angle of each estimate (lanes, n), and what is exact."""
+
+    beta: float
+    steps: NDArray[np.int64]
+    angle: Array
+    bias: float
+    expected: Array
+
+
+def _course(beta: float, curves: list[Curves], chain: Chain) -> _Course:
+    """The scales joined, at points that are about equally far apart on a logarithmic axis."""
+    steps = np.concatenate([c.evaluated_at[1:] for c in curves])
+    angle = np.concatenate([c.figures["angle"][:, 1:] for c in curves], axis=1)
+    steps, at = np.unique(steps, return_index=True)
+    chosen = spaced(steps, 12)
+    steps, angle = steps[chosen], angle[:, at[chosen]]
+    bias = float(angles(chain.biased_gradient(beta)[:, None], chain.gradient)[0])
+    cosines = [chain.expected_cosine(beta, steps=float(t)) for t in steps]
+    return _Course(beta, steps, angle, bias, np.degrees(np.arccos(cosines)))
+
+
+def _table(courses: list[_Course]) -> Table:
+    columns: dict[str, list[float]] = {
+        "beta": [], "steps": [], "angle_mean": [], "angle_sd": [], "angle_expected": [],
+        "angle_of_bias": [],
+    }  # fmt: skip
+    lanes = len(courses[0].angle)
+    columns |= {f"angle_{k}": [] for k in range(lanes)}
+    for c in courses:
+        rows = zip(c.steps, c.angle.mean(axis=0), c.angle.std(axis=0), c.expected, c.angle.T,
+                   strict=True)  # fmt: skip
+        for steps, mean, sd, expected, each in rows:
+            row = (c.beta, int(steps), mean, sd, expected, c.bias, *each)
+            for column, value in zip(columns.values(), row, strict=True):
+                column.append(value if isinstance(value, int) else float(value))
+    return columns
+
+
+def _draw(courses: list[_Course], lanes: int) -> Figure:
+    figure = blank(4.2)
+    axes = figure.add_subplot()
+    last = courses[0].steps[-1]
+    for c, shade in zip(courses, _COLORS, strict=True):
+        mean, sd = c.angle.mean(axis=0), c.angle.std(axis=0)
+        axes.fill_between(c.steps, np.maximum(mean - sd, 0.1), mean + sd, color=shade, alpha=0.18,
+                          lw=0)  # fmt: skip
+        axes.plot(c.steps, c.expected, color=INK, lw=0.7, ls=(0, (4, 2)), alpha=0.7, zorder=4)
+        axes.plot(c.steps, mean, color=shade, zorder=3)
+        axes.axhline(c.bias, color=shade, lw=1.0, ls=(0, (1, 1.6)), zorder=1)
+        mark_end(axes, float(last), c.bias, f"β = {c.beta:g}", shade)
+    axes.set(xscale="log", yscale="log", xlim=(100, last), ylim=(0.1, 130),
+             xlabel="steps t of the running mean of r z",
+             ylabel="angle to the exact gradient, degrees")  # fmt: skip
+    ticks = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 45, 90)
+    axes.set_yticks(ticks, [f"{t:g}" for t in ticks])
+    axes.set_title("The rule's estimate of the gradient: short traces are biased, long ones noisy")
+    axes.text(
+        0.012, 0.03,
+        f"line and band: mean ± standard deviation of {lanes} independent estimates\n"
+        "dashed: what is expected at t steps, and dotted: the bias of each β, both exact",
+        transform=axes.transAxes, fontsize=SMALL, va="bottom", linespacing=1.4,
+    )  # fmt: skip
+    return figure

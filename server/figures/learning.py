@@ -1,0 +1,72 @@
+"""The learning curve of any task: its measure over time, each run faint and the median bold."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from server import palette
+from server.experiments import Plan
+from server.figures.curves import (
+    course_columns,
+    draw_course,
+    outcome,
+    set_measure_axis,
+    setting,
+    words_of,
+)
+from server.figures.length import Time, cut, steps_of, time_of
+from server.figures.scales import Course, even_course
+from server.figures.sheet import IDLE, SMALL, Sheet, Table, blank, color, look
+from server.making import DEFAULT_TASK
+from sims.loading import make_task
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hebbviz.task import Task
+    from server.figures.command import Work
+    from server.figures.order import Order
+
+_POINTS, _QUICK_POINTS = 100, 25
+
+
+def make(order: Order, work: Work) -> Sheet:
+    """Default 16 runs of 10⁶ steps; quick 3 of 20 000."""
+    name = order.task or DEFAULT_TASK
+    task = make_task(name, order.preset)
+    time = time_of(order, task)
+    steps = steps_of(order, task) or (20_000 if order.quick else 10**6)
+    segments, segment_steps = cut(steps, _QUICK_POINTS if order.quick else _POINTS)
+    plan = Plan(
+        task=name, preset=order.preset, seed=order.seed,
+        lanes=order.lanes or (3 if order.quick else 16), segments=segments,
+        segment_steps=segment_steps,
+    )  # fmt: skip
+    (curves,) = work.curves([plan])
+    course = even_course(task, curves)
+    with look():
+        figure = _draw(plan, task, time, course)
+    numbers = setting(plan) | {"steps": plan.steps, "measure": task.measure.key}
+    numbers |= outcome(task, course, curves)
+    note = f"quick: {plan.lanes} runs of {plan.steps:,} steps in place of 16 of 1,000,000"
+    return Sheet(figure, _table(task, time, course), numbers, note if order.quick else "")
+
+
+def _table(task: Task, time: Time, course: Course) -> Table:
+    return {
+        "step": course.steps.tolist(),
+        **({} if time.key == "step" else {time.key: (course.steps / time.steps).tolist()}),
+        **course_columns(task.measure, course),
+    }  # fmt: skip
+
+
+def _draw(plan: Plan, task: Task, time: Time, course: Course) -> Figure:
+    figure = blank(4.0)
+    axes = figure.add_subplot()
+    about = f"{plan.lanes} runs, preset {task.preset_name}: {words_of(plan)}"
+    draw_course(axes, course, 1.0 / time.steps, color(palette.BRAND))
+    set_measure_axis(axes, task.measure)
+    axes.set(xlim=(0, plan.steps / time.steps), xlabel=time.name)
+    axes.set_title(f"{task.name}: {task.summary or 'learning'}")
+    axes.set_title(about, loc="right", fontsize=SMALL, fontweight="normal", color=IDLE)
+    return figure

@@ -1,0 +1,97 @@
+"""Which figures there are, what can be asked of each, and what one command asked for."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from server.terminal import InputError
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A figure: what it shows, and the options that it takes besides --out, --seed and --quick."""
+
+    shows: str
+    takes: tuple[str, ...] = ()
+
+
+KINDS = {
+    "synapse": Kind("the sequences (a)-(l) of the paper's figure of synaptic updates"),
+    "gradient": Kind(
+        "the angle from the rule's running estimate to the exact gradient, for several β",
+        ("lanes", "scheduler"),
+    ),
+    "sonar": Kind(
+        "training and test error of many runs, mean and standard deviation",
+        ("preset", "lanes", "epochs", "scheduler"),
+    ),
+    "pendulum": Kind(
+        "time to fall, each run and the median, for every preset",
+        ("preset", "lanes", "hours", "scheduler"),
+    ),
+    "learning": Kind(
+        "the learning curves of any task, also your own",
+        ("task", "preset", "lanes", "epochs", "hours", "steps", "scheduler"),
+    ),
+}
+
+LENGTHS = ("epochs", "hours", "steps")
+"""Three ways to say how long each run is; at most one of them."""
+
+_NOT_OF_THE_RESULT = ("name", "out", "scheduler", "quick", "seed")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Order:
+    """What is to be drawn; None where the figure chooses. `hours` are simulated ones.
+
+    Raises InputError for an option that the figure does not take.
+    """
+
+    name: str
+    out: Path
+    task: str | None = None
+    preset: str | None = None
+    lanes: int | None = None
+    epochs: int | None = None
+    hours: float | None = None
+    steps: int | None = None
+    seed: int = 0
+    quick: bool = False
+    scheduler: str | None = None
+
+    def __post_init__(self) -> None:
+        takes = KINDS[self.name].takes
+        given = [o for o in (*_options(), "scheduler") if getattr(self, o) is not None]
+        for option in given:
+            if option not in takes:
+                known = ", ".join(f"--{o}" for o in (*takes, "seed", "quick"))
+                raise InputError(
+                    f"figure {self.name} takes no --{option}: leave it out; it takes {known}"
+                )
+        lengths = [f"--{o}" for o in given if o in LENGTHS]
+        if len(lengths) > 1:
+            raise InputError(f"{' and '.join(lengths)} contradict each other: give one of them")
+
+    @classmethod
+    def of(cls, args: argparse.Namespace) -> Order:
+        return cls(**{f.name: getattr(args, f.name) for f in fields(cls)})
+
+    @property
+    def command(self) -> str:
+        """The command that makes it again, wherever that is written and by whatever workers."""
+        words = ["hebbviz", "figure", self.name, "--out", "FOLDER"]
+        for option in _options():
+            value = getattr(self, option)
+            if value is not None:
+                words += [f"--{option}", str(value)]
+        words += ["--seed", str(self.seed)]
+        return shlex.join(words + ["--quick"] * self.quick)
+
+
+def _options() -> tuple[str, ...]:
+    """All that decides the result, but the seed and whether it is quick."""
+    return tuple(f.name for f in fields(Order) if f.name not in _NOT_OF_THE_RESULT)

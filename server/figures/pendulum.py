@@ -1,0 +1,223 @@
+"""Time to fall against simulated time, preset by preset: each run faint, the median bold.
+
+A point is the length of a block of time divided by the falls in it; where there was none it is
+drawn as a lower bound. Beside the curves stand policies that do not learn, measured in the same
+world: every thrust by chance, and the same thrust all the time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.chance import NEXT_EPISODE, Draws
+from server import palette
+from server.experiments import Curves, Plan
+from server.figures.curves import (
+    course_columns,
+    draw_course,
+    outcome,
+    set_measure_axis,
+    setting,
+    words_of,
+)
+from server.figures.length import cut
+from server.figures.scales import Course, course, scales
+from server.figures.sheet import IDLE, INK, SMALL, TINY, Sheet, Table, blank, color, look
+from sims.pendulum import Pendulum
+from sims.pendulum_physics import PLANT
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from server.figures.command import Work
+    from server.figures.order import Order
+
+Array = NDArray[np.float64]
+
+SECONDS = {"quick": 1e5, "raw": 2e6, "paper": 1e7, "literal": 2e6}
+"""Simulated seconds in which each preset shows what it can; any other has `OTHER_SECONDS`."""
+OTHER_SECONDS = 1e5
+
+WHY_FLAT = (
+    "Flat, and so it should be: inputs in SI units\nare small beside the weights that it takes "
+    "to\nbalance, and at γ = 10⁻⁶ the weights have\nhardly moved yet. It takes over 10⁷ s."
+)
+
+_QUICK_SECONDS = 400.0
+_SEGMENTS = 500
+_FIRST = round(10.0 / PLANT.time_step)
+"""Steps: where the axis of time begins."""
+_PER_DECADE = 12
+_EPISODES, _QUICK_EPISODES = 1000, 200
+_COLORS = {"quick": 5, "raw": 2, "paper": 4, "literal": 3}
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """What came of a preset: the longest of its plans, and all of them together."""
+
+    plan: Plan
+    whole: Curves
+    course: Course
+
+
+def make(order: Order, work: Work) -> Sheet:
+    """Default 16 runs of every preset, for as long as each needs; quick 3 short ones."""
+    presets = [order.preset] if order.preset else list(SECONDS)
+    lanes = order.lanes or (3 if order.quick else 16)
+    plans = [_plans(preset, _seconds(order, preset), lanes, order.seed) for preset in presets]
+    baselines = measured_baselines(order.seed, _QUICK_EPISODES if order.quick else _EPISODES)
+    found = iter(work.curves([plan for scale in plans for plan in scale]))
+    curves = [_curve(scale, [next(found) for _ in scale]) for scale in plans]
+    with look():
+        figure = _draw(curves, baselines)
+    note = f"quick: {lanes} short runs in place of 16 runs of up to 10⁷ simulated seconds"
+    return Sheet(figure, _table(curves), _numbers(curves, baselines), note if order.quick else "")
+
+
+def _curve(scale: Sequence[Plan], found: Sequence[Curves]) -> _Curve:
+    plan = scale[-1]
+    shown = course(plan.make_task(), found, first=_FIRST, per_decade=_PER_DECADE)
+    return _Curve(plan, found[-1], shown)
+
+
+def _numbers(curves: Sequence[_Curve], baselines: dict[str, float]) -> dict[str, Any]:
+    presets = {
+        c.plan.preset: {
+            **setting(c.plan), "simulated_s": c.plan.steps * PLANT.time_step,
+            **outcome(c.plan.make_task(), c.course, c.whole),
+        }
+        for c in curves
+    }  # fmt: skip
+    says = {"literal_says": WHY_FLAT.replace("\n", " ")} if "literal" in presets else {}
+    return {"lanes": curves[0].plan.lanes, **baselines, "presets": presets, **says}
+
+
+def _seconds(order: Order, preset: str) -> float:
+    if order.hours is not None:
+        return order.hours * 3600.0
+    if order.quick:
+        return _QUICK_SECONDS
+    return SECONDS.get(preset, OTHER_SECONDS)
+
+
+def _plans(preset: str, seconds: float, lanes: int, seed: int) -> list[Plan]:
+    steps = max(1, round(seconds / PLANT.time_step))
+    segments, segment_steps = cut(steps, _SEGMENTS)
+    whole = Plan(
+        task="pendulum", preset=preset, seed=seed, lanes=lanes, segments=segments,
+        segment_steps=segment_steps,
+    )  # fmt: skip
+    whole.make_task()
+    return scales(whole, first=_SEGMENTS * _FIRST // 10)
+
+
+# Policies that do not learn
+
+
+def measured_baselines(seed: int, episodes: int) -> dict[str, float]:
+    """Mean time to fall in s, over so many episodes, of random and of constant thrust."""
+
+    def by_chance(draws: Draws) -> Array:
+        return np.where(draws(2) < 0.5, -1.0, 1.0)
+
+    return {
+        "random_thrust_s": _time_to_fall(by_chance, seed, episodes),
+        "constant_thrust_s": _time_to_fall(lambda _: np.ones(2), seed, episodes),
+    }
+
+
+def _time_to_fall(policy: Callable[[Draws], Array], seed: int, episodes: int) -> float:
+    """Lane 0 of the seed, with the draws that a learner's world has; the falling step counts."""
+    task = Pendulum()
+    state, falls, step = task.restart(Draws(seed, 0, 0, NEXT_EPISODE)), 0, 0
+    while falls < episodes:
+        step += 1
+        draws = Draws(seed, 0, step)
+        state = task.transition(state, policy(draws), draws)
+        if task.ended(state):
+            falls += 1
+            state = task.restart(Draws(seed, 0, step, NEXT_EPISODE))
+    return step * PLANT.time_step / falls
+
+
+# The drawing
+
+
+@dataclass(frozen=True)
+class _Line:
+    words: str
+    key: str
+    dashes: tuple[float, float]
+    side: str
+
+
+_LINES = (
+    _Line("random thrust", "random_thrust_s", (5.0, 2.0), "bottom"),
+    _Line("constant thrust", "constant_thrust_s", (1.0, 1.6), "top"),
+)
+
+
+def _draw(curves: Sequence[_Curve], baselines: dict[str, float]) -> Figure:
+    rows = -(-len(curves) // 2)
+    figure = blank(0.7 + 2.75 * rows if len(curves) > 1 else 4.2)
+    grid = figure.subplots(rows, min(2, len(curves)), sharex=True, sharey=True, squeeze=False)
+    for axes, curve in zip(grid.flat, curves, strict=False):
+        _panel(axes, curve, baselines)
+    for axes in grid[:, -1]:
+        _name_lines(axes, baselines)
+    for axes in grid[-1]:
+        axes.set_xlabel("simulated time, s")
+    for axes in grid[:, 0]:
+        set_measure_axis(axes, Pendulum.measure)
+    last = max(c.plan.steps for c in curves) * PLANT.time_step
+    grid[0, 0].set(ylim=(0.15, 3e4), xlim=(min(_FIRST * PLANT.time_step, last / 100.0), last))
+    figure.suptitle(
+        f"Pendulum: time to fall, {curves[0].plan.lanes} runs each, the median bold",
+        x=0.015, ha="left", fontsize=9.5, fontweight="bold",
+    )  # fmt: skip
+    return figure
+
+
+def _panel(axes: Axes, curve: _Curve, baselines: dict[str, float]) -> None:
+    preset = str(curve.plan.preset)
+    shade = color(palette.SERIES[_COLORS.get(preset, 5)])
+    for line in _LINES:
+        axes.axhline(baselines[line.key], color=IDLE, lw=0.9, ls=(0, line.dashes), zorder=1)
+    draw_course(axes, curve.course, PLANT.time_step, shade)
+    axes.set_xscale("log")
+    axes.set_title(f"preset {preset}", color=shade)
+    gains = ", ".join(f"{i.gain:g}" for i in curve.plan.make_task().inputs[::2])
+    words = f"{words_of(curve.plan)}\ninput gains {gains}"
+    if preset == "literal":
+        words += f"\n\n{WHY_FLAT}"
+    axes.text(0.03, 0.96, words, transform=axes.transAxes, va="top", fontsize=SMALL, color=INK,
+              linespacing=1.35)  # fmt: skip
+
+
+def _name_lines(axes: Axes, baselines: dict[str, float]) -> None:
+    for line in _LINES:
+        level = baselines[line.key]
+        words = f"{line.words}\n{level:.3f} s"
+        axes.annotate(words, (1, level), (4, 0), ("axes fraction", "data"), "offset points",
+                      fontsize=TINY, color=IDLE, va=line.side, annotation_clip=False)  # fmt: skip
+
+
+def _table(curves: Sequence[_Curve]) -> Table:
+    columns: dict[str, list[Any]] = {}
+    for c in curves:
+        part = {
+            "preset": [c.plan.preset] * len(c.course.steps),
+            "simulated_s": (c.course.steps * PLANT.time_step).tolist(),
+            **course_columns(Pendulum.measure, c.course),
+        }
+        for name, values in part.items():
+            columns.setdefault(name, []).extend(values)
+    return columns

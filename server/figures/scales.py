@@ -1,0 +1,96 @@
+"""One run seen at several scales, for an axis of time that is logarithmic.
+
+Segments of a plan are of one length. So a plan is run again and again, 100 times as long each
+time: the same lanes, hence the same runs, for 1 % more work. Where one ends the next takes over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.task import Tally, Task
+from server.experiments import Curves, Plan
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+RATIO = 100
+"""Of the lengths of two plans."""
+
+SomePlan = TypeVar("SomePlan", bound=Plan)
+
+
+def scales(plan: SomePlan, *, first: int) -> list[SomePlan]:
+    """Plans of the same segments, the shortest first; it ends after `first` steps or sooner.
+
+    The steps of the shorter ones are what is left of the longest, divided by 100, 10 000, …
+    """
+    plans = [plan]
+    while plans[0].steps > first and plans[0].segment_steps > 1:
+        plans.insert(0, replace(plan, segment_steps=-(-plans[0].segment_steps // RATIO)))
+    return plans
+
+
+def spaced(steps: Whole, per_decade: int) -> Whole:
+    """Places in `steps` (n,), which rise, about equally far apart on a logarithmic axis."""
+    decades = float(np.log10(steps[-1] / steps[0]))
+    wanted = np.geomspace(steps[0], steps[-1], 1 + round(per_decade * decades))
+    return np.unique(np.abs(steps[:, None] - wanted).argmin(axis=0))
+
+
+@dataclass(frozen=True)
+class Course:
+    """A task's measure over time: `values` (lanes, n) of the stretches that end at `steps` (n,).
+
+    `is_bound` (lanes, n): the truth is this or more.
+    """
+
+    steps: Whole
+    values: Array
+    is_bound: NDArray[np.bool_]
+
+    @property
+    def median(self) -> Array:
+        """Over the lanes, (n,)."""
+        return np.median(self.values, axis=0)
+
+
+def course(task: Task, curves: Sequence[Curves], *, first: int, per_decade: int) -> Course:
+    """The measure over stretches that are equally long on a logarithmic axis, from step `first` on.
+
+    What was before it is one stretch more.
+    """
+    ends = np.concatenate([c.end for c in curves])
+    totals = np.concatenate(
+        [np.cumsum([c.reward, c.broadcast, c.ended], axis=2) for c in curves], axis=2
+    )  # (reward, broadcast, ended), lanes, segments: since the start
+    ends, at = np.unique(ends, return_index=True)
+    late = np.searchsorted(ends, min(first, ends[-1]))
+    chosen = late + spaced(ends[late:], per_decade)
+    return measured(task, ends[chosen], totals[:, :, at[chosen]])
+
+
+def even_course(task: Task, curves: Curves) -> Course:
+    """The measure over the segments as they are."""
+    values, is_bound = curves.scores(task)
+    return Course(curves.end, values, is_bound)
+
+
+def measured(task: Task, steps: Whole, totals: Array) -> Course:
+    """The measure between one of `steps` (n,) and the next, from totals (3, lanes, n)."""
+    sums = np.diff(totals, axis=2, prepend=0.0)
+    lengths = np.diff(steps, prepend=0)
+    found = [
+        [task.score(Tally(int(n), *map(float, s))) for n, s in zip(lengths, lane.T, strict=True)]
+        for lane in sums.transpose(1, 0, 2)
+    ]
+    return Course(
+        steps,
+        np.array([[s.value for s in lane] for lane in found]),
+        np.array([[s.is_bound for s in lane] for lane in found], dtype=np.bool_),
+    )

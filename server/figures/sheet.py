@@ -1,0 +1,178 @@
+"""What all figures share: their look, and their files with all that is needed to make them again.
+
+A figure is three files of one name, PNG, SVG and the CSV behind them. Each says inside by which
+command, version and seed it was made. They hold no date and nothing of the machine, so that the
+same command writes the same bytes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from textwrap import shorten
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+from hebbviz import __version__
+from server.palette import LIGHT, Rgb
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Color = tuple[float, float, float]
+Table = Mapping[str, Sequence[float | int | str]]
+
+WIDTH = 7.2
+"""Inches: across both columns of a paper."""
+SMALL, TINY = 7.5, 6.0
+"""Points."""
+_MARGIN, _FOOT = 0.12, 0.34
+"""Inches: around the drawing, and for the lines at its foot."""
+_LINE = 150
+"""Letters of the small print that have room; the whole of a longer command is inside the files."""
+
+
+def color(rgb: Rgb) -> Color:
+    """A colour of the page's palette, as matplotlib wants it."""
+    r, g, b = rgb
+    return r / 255.0, g / 255.0, b / 255.0
+
+
+INK, FAINT, IDLE = color(LIGHT.ink), color(LIGHT.world), color(LIGHT.world_strong)
+
+_LOOK: dict[str, Any] = {
+    "font.family": "DejaVu Sans", "font.size": 8.5, "mathtext.fontset": "dejavusans",
+    "text.color": INK, "axes.labelcolor": INK, "axes.edgecolor": IDLE, "axes.titlesize": 9.5,
+    "axes.titleweight": "bold", "axes.titlelocation": "left", "axes.titlepad": 7.0,
+    "axes.linewidth": 0.8, "axes.spines.top": False, "axes.spines.right": False,
+    "axes.axisbelow": True, "axes.grid": True, "grid.color": FAINT, "grid.linewidth": 0.6,
+    "xtick.color": IDLE, "ytick.color": IDLE, "xtick.labelcolor": INK, "ytick.labelcolor": INK,
+    "xtick.minor.size": 0.0, "ytick.minor.size": 0.0, "lines.linewidth": 1.6,
+    "lines.solid_capstyle": "round", "legend.frameon": False, "legend.fontsize": SMALL,
+    "figure.facecolor": "white", "savefig.facecolor": "white", "savefig.dpi": 220,
+    "svg.hashsalt": "hebbviz", "svg.fonttype": "path", "path.simplify": True,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Origin:
+    """By what a figure was made: the command that makes it again, the program, and the seed."""
+
+    command: str
+    seed: int
+    version: str = __version__
+
+    def items(self) -> dict[str, str]:
+        return {"command": self.command, "version": self.version, "seed": str(self.seed)}
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A finished figure.
+
+    `table` holds the columns of its CSV, of one length; `numbers` what it comes to, fit for
+    strict JSON; `note` what else must be said, above the small print that says its origin.
+    """
+
+    drawing: Figure
+    table: Table
+    numbers: dict[str, Any]
+    note: str = ""
+
+
+@contextlib.contextmanager
+def look() -> Iterator[None]:
+    """The look of all figures, whatever the user's own matplotlibrc says."""
+    plain: dict[Any, Any] = dict(mpl.rcParamsDefault)
+    with mpl.rc_context({k: v for k, v in (plain | _LOOK).items() if not k.startswith("backend")}):
+        yield
+
+
+def blank(height: float, *, width: float = WIDTH) -> Figure:
+    """An empty drawing, in inches; to be filled and saved within `look`."""
+    edges = (_MARGIN / width, _FOOT / height, 1 - 2 * _MARGIN / width,
+             1 - (_FOOT + _MARGIN) / height)  # fmt: skip
+    return Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(rect=edges))
+
+
+def save(sheet: Sheet, folder: Path, name: str, origin: Origin) -> list[Path]:
+    """Write PNG, SVG and CSV; returns the three paths. Raises OSError.
+
+    A file is whole or not there: it gets its name when it is done, in place of an older one.
+    """
+    about = origin.items()
+    with look():
+        _settle(sheet.drawing)
+        _small_print(sheet.drawing, origin, sheet.note)
+        png, svg = io.BytesIO(), io.BytesIO()
+        title = {"Title": f"hebbviz figure {name}"}
+        software = {"Software": f"hebbviz {origin.version}"}
+        sheet.drawing.savefig(
+            png, format="png", metadata=title | software | {k.title(): v for k, v in about.items()}
+        )
+        sheet.drawing.savefig(
+            svg, format="svg",
+            metadata=title | {
+                "Date": None, "Creator": software["Software"], "Source": origin.command,
+                "Description": "; ".join(f"{k}: {v}" for k, v in about.items()),
+            },
+        )  # fmt: skip
+    made = {"png": png.getvalue(), "svg": svg.getvalue(), "csv": _csv(sheet.table, about)}
+    return [_write(folder / f"{name}.{kind}", data) for kind, data in made.items()]
+
+
+def mark_end(
+    axes: Axes, x: float, y: float, text: str, shade: Color, *, size: float = SMALL
+) -> None:
+    """Words beside the end of a curve, in place of a legend."""
+    axes.annotate(
+        text, (x, y), (5, 0), textcoords="offset points", va="center", color=shade, fontsize=size,
+        annotation_clip=False,
+    )  # fmt: skip
+
+
+def _settle(figure: Figure) -> None:
+    """Lay it out for good, in round numbers: the solver's last digits change from run to run."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    for axes in figure.axes:
+        left, bottom, width, height = axes.get_position(original=True).bounds
+        axes.set_position((round(left, 4), round(bottom, 4), round(width, 4), round(height, 4)))
+
+
+def _small_print(figure: Figure, origin: Origin, note: str) -> None:
+    width, height = figure.get_size_inches()
+    about = f"  ·  hebbviz {origin.version}  ·  seed {origin.seed}"
+    line = shorten(origin.command, _LINE - len(about), placeholder=" …") + about
+    for row, text in enumerate((line, note)):
+        figure.text(
+            _MARGIN / width, (0.08 + 0.13 * row) / height, text, fontsize=TINY,
+            color=IDLE if row == 0 else INK, ha="left", va="bottom", in_layout=False,
+        )  # fmt: skip
+
+
+def _csv(table: Table, about: Mapping[str, str]) -> bytes:
+    text = io.StringIO()
+    text.writelines(f"# {key}: {value}\n" for key, value in about.items())
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table)
+    writer.writerows(zip(*table.values(), strict=True))
+    return text.getvalue().encode()
+
+
+def _write(path: Path, data: bytes) -> Path:
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        unfinished.write_bytes(data)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return path

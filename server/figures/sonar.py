@@ -1,0 +1,122 @@
+"""Training and test error of the sonar task: mean and standard deviation of independent runs.
+
+Errors are those of a frozen copy, in one pass over each set. Every run has a split of its own and
+its own first weights. Beside them stand the errors that Gorman and Sejnowski (1988) reached by
+back-propagation with six hidden units, as the paper quotes them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from server import palette
+from server.experiments import Curves, Plan
+from server.figures.curves import lane_columns, setting, words_of
+from server.figures.length import cut
+from server.figures.sheet import INK, SMALL, Sheet, Table, blank, color, look, mark_end
+from sims.sonar import Sonar
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from server.figures.command import Work
+    from server.figures.order import Order
+
+Array = NDArray[np.float64]
+
+BACK_PROPAGATION = {"training_error": 0.003, "test_error": 0.165}
+"""Gorman and Sejnowski, 6 hidden units, fractions of patterns."""
+EPOCH = Sonar.epoch
+
+_EVALUATIONS = 50
+_SHOWN = {
+    "test_error": ("test", color(palette.SERIES[4])),
+    "training_error": ("training", color(palette.BRAND)),
+}
+
+
+@dataclass(frozen=True)
+class _Size:
+    preset: str
+    lanes: int
+    epochs: int
+
+
+_FULL, _QUICK = _Size("paper", 100, 2000), _Size("quick", 6, 20)
+
+
+def make(order: Order, work: Work) -> Sheet:
+    """Errors at about 50 times, which are equally far apart."""
+    size = _QUICK if order.quick else _FULL
+    segments, epochs = cut(order.epochs or size.epochs, _EVALUATIONS)
+    plan = Plan(
+        task="sonar", preset=order.preset or size.preset, seed=order.seed,
+        lanes=order.lanes or size.lanes, segments=segments, segment_steps=epochs * EPOCH,
+        evaluate=1,
+    )  # fmt: skip
+    plan.make_task()
+    (curves,) = work.curves([plan])
+    with look():
+        figure = _draw(plan, curves)
+    note = (
+        f"quick: preset {plan.preset}, {plan.lanes} runs of {plan.steps // EPOCH} epochs in place "
+        f"of preset {_FULL.preset}, {_FULL.lanes} runs of {_FULL.epochs:,}"
+    )
+    return Sheet(figure, _table(curves), _numbers(plan, curves), note if order.quick else "")
+
+
+def _numbers(plan: Plan, curves: Curves) -> dict[str, Any]:
+    """The errors at the end, as fractions."""
+    numbers = setting(plan) | {"epochs": plan.steps // EPOCH}
+    for name in sorted(_SHOWN, reverse=True):
+        last = curves.figures[name][:, -1]
+        numbers |= {
+            name: float(last.mean()), f"{name}_sd": float(last.std()),
+            f"{name}_back_propagation": BACK_PROPAGATION[name],
+        }  # fmt: skip
+    return numbers
+
+
+def _table(curves: Curves) -> Table:
+    columns: dict[str, Any] = {"epoch": [int(s) // EPOCH for s in curves.evaluated_at]}
+    for name in _SHOWN:
+        errors = curves.figures[name]
+        columns |= {f"{name}_mean": errors.mean(axis=0).tolist(),
+                    f"{name}_sd": errors.std(axis=0).tolist()}  # fmt: skip
+    for name in _SHOWN:
+        columns |= lane_columns(name, curves.figures[name])
+    return columns
+
+
+def _draw(plan: Plan, curves: Curves) -> Figure:
+    figure = blank(4.2)
+    axes = figure.add_subplot()
+    epochs = curves.evaluated_at / EPOCH
+    for name, (words, shade) in _SHOWN.items():
+        percent = 100.0 * curves.figures[name]
+        mean, sd = percent.mean(axis=0), percent.std(axis=0)
+        axes.fill_between(epochs, np.maximum(mean - sd, 0.0), mean + sd, color=shade, alpha=0.18,
+                          lw=0)  # fmt: skip
+        axes.plot(epochs, mean, color=shade)
+        mark_end(axes, epochs[-1], mean[-1], f"{words}\n{mean[-1]:.1f} ± {sd[-1]:.1f} %", shade)
+        reference = 100.0 * BACK_PROPAGATION[name]
+        axes.axhline(reference, color=shade, lw=1.0, ls=(0, (1, 1.6)))
+        axes.text(epochs[-1] * 0.02, reference + 0.5, f"back-propagation, {words}: {reference:g} %",
+                  color=shade, fontsize=SMALL, va="bottom")  # fmt: skip
+    axes.set(xlim=(0, epochs[-1]), ylim=(0, 55), xlabel="epochs of 187 patterns, 1,000 steps each",
+             ylabel="error of a frozen copy, %")  # fmt: skip
+    axes.xaxis.set_major_locator(MaxNLocator(10, integer=True))
+    axes.set_title(f"Sonar: mines or rocks, mean ± standard deviation of {plan.lanes} runs")
+    axes.text(
+        0.985, 0.965,
+        f"preset {plan.preset}: {words_of(plan)}\n"
+        "back-propagation: Gorman and Sejnowski (1988), 6 hidden units",
+        transform=axes.transAxes, ha="right", va="top", fontsize=SMALL, color=INK, linespacing=1.4,
+        bbox={"fc": "white", "ec": "none", "pad": 2.0},
+    )  # fmt: skip
+    return figure

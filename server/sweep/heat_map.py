@@ -1,0 +1,136 @@
+"""The map as a picture and a table: one cell for each pair of β and γ."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.patches import Rectangle
+
+from server.figures.curves import finite, lane_columns, shown, words_of
+from server.figures.sheet import IDLE, INK, SMALL, Sheet, Table, blank, look
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
+    from numpy.typing import NDArray
+
+    from hebbviz.task import Measure, Task
+    from server.sweep.grid import Sweep
+    from server.sweep.outcome import Outcome
+
+_LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Of red, green and blue."""
+_CELL, _LEAST_HEIGHT, _AROUND = 0.42, 2.6, 1.4
+"""Inches: of a cell, of the drawing, and of what is around the cells."""
+_MOST_WORDS = 12
+"""Cells in a row that still have room for words."""
+
+
+def sheet(
+    sweep: Sweep, task: Task, points: Sequence[Outcome], untrained: Outcome,
+    more: Sequence[dict[str, Any]],
+) -> Sheet:  # fmt: skip
+    """The map of points, β by β; `more` is what their table says besides."""
+    with look():
+        figure = _draw(sweep, task, points, untrained)
+    best = max(points, key=lambda p: float(np.median(p.reward)))
+    numbers = {
+        "best": {"beta": best.plan.beta, "gamma": best.plan.gamma, "median": finite(best.median)},
+        "untrained_median": finite(untrained.median),
+        "points": [
+            {**about(p, untrained), **m} for p, m in zip(points, more, strict=True)
+        ],
+    }  # fmt: skip
+    note = (
+        f"Each cell: median of {sweep.lanes} runs of {untrained.plan.steps:,} steps, over the last "
+        f"fifth; untrained {untrained.median:.3g}. Fail: rewarded no more than the luckiest of the "
+        "untrained runs. Framed: rewarded most."
+    )
+    return Sheet(figure, _table(task, points, untrained, more), numbers, note)
+
+
+def about(point: Outcome, untrained: Outcome) -> dict[str, Any]:
+    """A point in numbers."""
+    low, high = np.quantile(point.values, (0.25, 0.75))
+    return {
+        "beta": point.plan.beta, "gamma": point.plan.gamma, "median": finite(point.median),
+        "is_lower_bound": point.median_is_bound, "lower_quartile": finite(low),
+        "upper_quartile": finite(high), "failing": point.failing(untrained),
+        "average_reward": finite(np.median(point.reward)),
+    }  # fmt: skip
+
+
+def _table(
+    task: Task, points: Sequence[Outcome], untrained: Outcome, more: Sequence[dict[str, Any]]
+) -> Table:
+    rows = [{**about(p, untrained), **m} for p, m in zip(points, more, strict=True)]
+    columns: dict[str, Any] = {name: [row[name] for row in rows] for name in rows[0]}
+    lanes = np.array([p.values for p in points]).T
+    return columns | lane_columns(task.measure.key, lanes)
+
+
+def _draw(sweep: Sweep, task: Task, points: Sequence[Outcome], untrained: Outcome) -> Figure:
+    rows, columns = len(sweep.betas), len(sweep.gammas)
+    figure = blank(max(_LEAST_HEIGHT, _AROUND + _CELL * rows))
+    axes = figure.add_subplot()
+    medians = np.array([p.median for p in points]).reshape(rows, columns)
+    image = axes.imshow(
+        medians, cmap=_colors(points), norm=_norm(task.measure, medians), aspect="auto",
+        origin="lower",
+    )  # fmt: skip
+    axes.grid(visible=False)
+    axes.set_xticks(range(columns), [shown(g) for g in sweep.gammas])
+    axes.set_yticks(range(rows), [f"{b:g}" for b in sweep.betas])
+    axes.set(xlabel="step size γ", ylabel="β")
+    unit = f", {task.measure.unit}" if task.measure.unit else ""
+    figure.colorbar(image, ax=axes, label=f"{task.measure.name}{unit}", pad=0.02)
+    if columns <= _MOST_WORDS:
+        _write_cells(axes, points, untrained, image)
+    _mark_best(axes, points, columns)
+    network = words_of(sweep.untrained).partition(",")[0]
+    axes.set_title(f"{task.name}: β against γ")
+    axes.set_title(f"{network}, preset {task.preset_name}", loc="right", fontsize=SMALL,
+                   fontweight="normal", color=IDLE)  # fmt: skip
+    return figure
+
+
+def _colors(points: Sequence[Outcome]) -> str:
+    """Brighter is better: where more reward goes with a smaller measure, the other way round."""
+    measure = np.array([p.median for p in points])
+    reward = np.array([np.median(p.reward) for p in points])
+    agree = np.sum((measure - measure.mean()) * (reward - reward.mean())) >= 0.0
+    return "viridis" if agree else "viridis_r"
+
+
+def _norm(measure: Measure, medians: NDArray[np.float64]) -> Normalize:
+    above = medians[medians > 0.0]
+    if measure.logarithmic and above.size:
+        return LogNorm(above.min(), max(above.max(), 1.001 * above.min()), clip=True)
+    return Normalize(medians.min(), medians.max())
+
+
+def _write_cells(
+    axes: Axes, points: Sequence[Outcome], untrained: Outcome, image: AxesImage
+) -> None:
+    """The median, and below it the lanes that fail."""
+    shades = image.cmap(image.norm(np.array([p.median for p in points])))
+    columns = round(image.get_extent()[1] + 0.5)
+    for k, (point, shade) in enumerate(zip(points, shades, strict=True)):
+        y, x = divmod(k, columns)
+        ink = INK if shade[:3] @ _LUMINANCE > 0.45 else "white"
+        least = "≥ " if point.median_is_bound else ""
+        failing = point.failing(untrained)
+        words = f"{least}{point.median:.3g}" + (f"\n{failing:.0%} fail" if failing else "")
+        axes.text(x, y, words, color=ink, fontsize=SMALL, ha="center", va="center")
+
+
+def _mark_best(axes: Axes, points: Sequence[Outcome], columns: int) -> None:
+    """A frame around the cell that is rewarded most."""
+    best = int(np.argmax([np.median(p.reward) for p in points]))
+    y, x = divmod(best, columns)
+    axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, ec=INK, lw=2.0))

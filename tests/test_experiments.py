@@ -1,0 +1,199 @@
+"""Many lanes at once: tiles, shares, interruptions and kills change nothing of what comes of it."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hebbviz.files import BadFile
+from hebbviz.learner import Learner
+from server.experiments import Interrupted, Plan, open_workers, run, run_all, workers
+from server.experiments.run import TILE, _completed
+from server.experiments.share import Tile, WrongVersion, bring_on
+from server.experiments.store import Store
+from sims.loading import make_task
+
+ROOT = Path(__file__).parents[1]
+LEVER = f"{ROOT / 'tests' / 'examples' / 'lever.py'}:Lever"
+SONAR = Plan(task="sonar", hidden=(3,), seed=7, lanes=5, segments=6, segment_steps=3_001)
+PULLS = Plan(task=LEVER, seed=2, lanes=3, segments=5, segment_steps=400)
+
+
+@pytest.fixture
+def short_shares(monkeypatch):
+    monkeypatch.setattr(workers, "SHARE_SECONDS", 0.01)
+
+
+def same(a, b):
+    return (
+        a.steps == b.steps
+        and all(
+            np.array_equal(getattr(a, n), getattr(b, n))
+            for n in ("end", "reward", "broadcast", "ended", "evaluated_at")
+        )
+        and a.figures.keys() == b.figures.keys()
+        and all(np.array_equal(a.figures[n], b.figures[n]) for n in a.figures)
+    )
+
+
+def alone(plan):
+    """Curves of a plan as one learner makes them, a lane at a time, with no machinery."""
+    rows, figures = [], []
+    for lane in range(plan.first_lane, plan.first_lane + plan.lanes):
+        learner = Learner(make_task(plan.task), hidden=plan.hidden, seed=plan.seed, first_lane=lane)
+        found, evaluated = [], []
+        for k in range(plan.segments + 1):
+            if plan.evaluate and k % plan.evaluate == 0:
+                evaluated.append(learner.task.evaluate(learner))
+            if k < plan.segments:
+                before = learner.tally()
+                learner.advance(plan.segment_steps)
+                found.append(learner.tally() - before)
+        rows.append(found)
+        figures.append(evaluated)
+    return rows, figures
+
+
+@pytest.mark.parametrize("plan", [SONAR, PULLS], ids=["sonar", "lever"])
+def test_curves_are_those_of_learners_alone(plan):
+    with open_workers() as cores:
+        curves = run(plan, cores)
+    rows, _ = alone(plan)
+    assert np.array_equal(curves.end, plan.segment_steps * np.arange(1, plan.segments + 1))
+    assert curves.reward.shape == (plan.lanes, plan.segments)
+    for name in ("reward", "broadcast", "ended"):
+        expected = [[getattr(tally, name) for tally in lane] for lane in rows]
+        assert np.array_equal(getattr(curves, name), expected), name
+    scores, bounds = curves.scores(plan.make_task())
+    assert scores[1, 2] == plan.make_task().score(rows[1][2]).value
+    assert not bounds.any()
+    assert curves.last(0.4)[2].reward == curves.reward[2, -2:].sum()
+
+
+def test_frozen_copies_are_evaluated_lane_by_lane():
+    plan = replace(SONAR, lanes=2, segments=4, evaluate=2)
+    with open_workers() as cores:
+        curves = run(plan, cores)
+    _, expected = alone(plan)
+    assert curves.evaluated_at.tolist() == [0, 6_002, 12_004]
+    for name in ("training_error", "test_error"):
+        assert np.array_equal(
+            curves.figures[name], [[e[name][0] for e in lane] for lane in expected]
+        )
+
+
+def test_cut_and_shares_change_nothing(short_shares, monkeypatch):
+    """One tile or five, one share or many; lane 3 is the same with others beside it or without."""
+    with open_workers() as cores:
+        many_shares = run(SONAR, cores)
+        monkeypatch.setattr(workers._Cores, "count", lambda _: 5)
+        five_tiles, third = run_all([SONAR, replace(SONAR, first_lane=3, lanes=1)], cores)
+    one = bring_on(SONAR, Tile(0, SONAR.lanes), 1e9, workers.hebbviz.__version__).curves(SONAR)
+    assert same(many_shares, one)
+    assert same(five_tiles, one)
+    assert np.array_equal(third.reward[0], one.reward[3])
+
+
+def test_tiles_hold_every_lane_once():
+    for lanes in (1, 5, 64, 65, 100, 300):
+        for pieces in (1, 2, 8):
+            plan = replace(SONAR, first_lane=10, lanes=lanes)
+            kept = _completed(plan, [], pieces)[1::2]
+            tiles = _completed(plan, kept, pieces)
+            held = [lane for t in tiles for lane in range(t.first_lane, t.first_lane + t.lanes)]
+            assert held == list(range(10, 10 + lanes))
+            assert max(t.lanes for t in tiles) <= TILE
+            assert len(tiles) >= min(pieces, lanes)
+
+
+def test_a_stopped_run_goes_on_and_nothing_is_done_twice(tmp_path, short_shares):
+    stop, first, second = threading.Event(), [], []
+
+    def stop_later(fraction):
+        first.append(fraction)
+        if fraction > 0.3:
+            stop.set()
+
+    with open_workers() as cores:
+        with pytest.raises(Interrupted):
+            run(SONAR, cores, folder=tmp_path, stop=stop, progress=stop_later)
+        curves = run(SONAR, cores, folder=tmp_path, progress=second.append)
+        again = run(SONAR, cores, folder=tmp_path, progress=(third := []).append)
+        whole = run(SONAR, cores)
+    assert first == sorted(first) and first[0] == 0.0
+    assert 0.3 < first[-1] < 1.0
+    assert second[0] == first[-1] and second[-1] == 1.0
+    assert third == [1.0]
+    assert same(curves, whole) and same(again, whole)
+
+
+def test_a_run_that_is_killed_goes_on(tmp_path):
+    """Killed with -9 in the midst of its shares: what was kept is whole, the end the same."""
+    script = (
+        "import json, sys\n"
+        "from pathlib import Path\n"
+        "from server.experiments import Plan, open_workers, run, workers\n"
+        "workers.SHARE_SECONDS = 0.0\n"
+        "plan = Plan(**json.loads(sys.argv[1]))\n"
+        "with open_workers() as cores:\n"
+        "    run(plan, cores, folder=Path(sys.argv[2]), progress=lambda f: print(f, flush=True))\n"
+    )
+    command = [sys.executable, "-c", script, json.dumps(SONAR.to_json()), str(tmp_path)]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        fractions = [float(process.stdout.readline()) for _ in range(5)]
+        process.kill()
+        process.communicate()
+    assert process.returncode == -signal.SIGKILL
+    assert 0.0 < fractions[-1] < 1.0
+    with open_workers() as cores:
+        resumed = run(SONAR, cores, folder=tmp_path, progress=(left := []).append)
+        assert left[0] >= fractions[-1]
+        assert same(resumed, run(SONAR, cores))
+
+
+def test_plans_are_kept_apart(tmp_path):
+    own = tmp_path / "own.py"
+    own.write_text(Path(LEVER.rpartition(":")[0]).read_text())
+    plan = replace(PULLS, task=f"{own}:Lever")
+    others = [
+        replace(plan, **{name: value})
+        for name, value in (("seed", 3), ("beta", 0.9), ("lanes", 4), ("hidden", (2,)))
+    ]
+    digests = {p.digest() for p in (plan, *others)}
+    own.write_text(own.read_text() + "\n# edited\n")
+    assert len(digests | {plan.digest()}) == len(others) + 2
+    assert pickle.loads(pickle.dumps(plan)).digest() == plan.digest()
+    assert Plan(**json.loads(json.dumps(plan.to_json()))).digest() == plan.digest()
+
+
+def test_what_is_damaged_is_refused(tmp_path):
+    tile = bring_on(SONAR, Tile(0, 5), 0.0, workers.hebbviz.__version__)
+    store = Store(tmp_path, SONAR)
+    store.write(tile)
+    (file,) = store.folder.iterdir()
+    (kept,) = store.read()
+    assert kept.keyframe.digest() == tile.keyframe.digest()
+    file.write_bytes(file.read_bytes()[:-40])
+    with open_workers() as cores, pytest.raises(BadFile, match="damaged"):
+        run(SONAR, cores, folder=tmp_path)
+
+
+def test_a_worker_of_another_version_is_refused():
+    with pytest.raises(WrongVersion, match=r"0\.0\.0"):
+        bring_on(SONAR, Tile(0, 1), 0.0, "0.0.0")
+
+
+def test_what_the_learner_refuses_ends_the_run():
+    with open_workers() as cores, pytest.raises(ValueError, match="beta must be in"):
+        run(replace(SONAR, beta=2.0), cores)
+    with pytest.raises(ValueError, match="lanes must be 1 or more, got 0"):
+        replace(SONAR, lanes=0)

@@ -1,0 +1,313 @@
+"""The paper's figures: their files, the numbers in them, and that an interruption costs nothing."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shlex
+import signal
+import subprocess
+import sys
+import time
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hebbviz
+from hebbviz.learner import Learner
+from server.cli import main
+from server.figures.gradient import BETAS, STILL, angles
+from server.figures.order import KINDS
+from sims.lamps import small_example
+from sims.loading import make_task
+from sims.pendulum import Pendulum
+from sims.pendulum_physics import PLANT
+from sims.sonar import Sonar
+from sims.synapse import SCRIPT
+
+PIL = pytest.importorskip("PIL.Image")
+
+ROOT = Path(__file__).parents[1]
+LEVER = f"{ROOT / 'tests' / 'examples' / 'lever.py'}:Lever"
+PATIENCE = 120.0
+DUBLIN_CORE = "{http://purl.org/dc/elements/1.1/}"
+
+SMALL = {
+    "synapse": "",
+    "gradient": "--lanes 2",
+    "sonar": "--lanes 2 --epochs 2",
+    "pendulum": "--lanes 2 --hours 0.01",
+    "learning": f"--task {LEVER} --lanes 2 --steps 2000",
+}
+"""What is added to --quick, for these tests to be quick."""
+
+
+class Made:
+    """A figure made by the command line: its folder, and what it printed."""
+
+    def __init__(self, name, folder, options):
+        self.name, self.folder = name, folder
+        self.argv = ["figure", name, "--out", str(folder), "--quick", *shlex.split(options)]
+        out = io.StringIO()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "stdout", out)
+            assert main(self.argv) == 0
+        (line,) = out.getvalue().splitlines()
+        self.says = json.loads(line)
+
+    def file(self, kind):
+        return self.folder / f"{self.name}.{kind}"
+
+    @property
+    def comments(self):
+        lines = self.file("csv").read_text().splitlines()
+        return dict(line[2:].split(": ", 1) for line in lines if line.startswith("# "))
+
+    @property
+    def columns(self):
+        """Numbers where all of a column are."""
+        lines = self.file("csv").read_text().splitlines()
+        names, *rows = csv.reader(line for line in lines if not line.startswith("#"))
+        return {
+            n: _numbers(values) for n, values in zip(names, zip(*rows, strict=True), strict=True)
+        }
+
+
+def _numbers(values):
+    try:
+        return np.array(values, dtype=float)
+    except ValueError:
+        return np.array(values)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Each figure, made once."""
+    found = {}
+
+    def make(name):
+        if name not in found:
+            found[name] = Made(name, tmp_path_factory.mktemp(name), SMALL[name])
+        return found[name]
+
+    return make
+
+
+def same_files(a, b):
+    return all(a.file(k).read_bytes() == b.file(k).read_bytes() for k in ("png", "svg", "csv"))
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_three_files_are_written_and_say_by_what_they_were_made(made, name):
+    figure = made(name)
+    assert sorted(p.name for p in figure.folder.iterdir()) == [
+        f"{name}.csv", f"{name}.png", f"{name}.svg"
+    ]  # fmt: skip
+    assert {Path(p) for p in figure.says["files"]} == set(figure.folder.iterdir())
+    told = {"command": figure.says["command"], "version": hebbviz.__version__, "seed": "0"}
+    assert figure.comments == told
+    with PIL.open(figure.file("png")) as image:
+        image.load()
+        assert image.width > 1000
+        assert {k: image.text[k.title()] for k in told} == told
+    description = ET.parse(figure.file("svg")).find(f".//{DUBLIN_CORE}description")
+    assert description is not None
+    assert description.text == "; ".join(f"{k}: {v}" for k, v in told.items())
+    assert figure.says["version"] == hebbviz.__version__
+    assert figure.says["quick"] is True
+
+
+@pytest.mark.parametrize("name", ["synapse", "sonar"])
+def test_the_command_that_a_figure_names_writes_the_same_bytes(made, name, tmp_path):
+    first = made(name)
+    program, *argv = shlex.split(first.says["command"])
+    assert (program, *argv[:4]) == ("hebbviz", "figure", name, "--out", "FOLDER")
+    again = Made(name, tmp_path, shlex.join(a for a in argv[4:] if a != "--quick"))
+    assert same_files(first, again)
+
+
+def test_synapse_shows_what_the_rule_does(made):
+    """Equations (zupdate) and (update), from the spikes and rewards in the CSV."""
+    figure = made("synapse")
+    columns, preset = figure.columns, make_task("synapse", "script").preset
+    assert [letter for letter in columns["letter"] if letter] == list("abcdefghijkl")
+    assert len(columns["step"]) == len(SCRIPT)
+    z, w, pre_before = 0.0, 0.5, 0.0
+    for k in range(len(SCRIPT)):
+        assert columns["weight_before"][k] == pytest.approx(w, abs=1e-12)
+        fires = 1.0 / (1.0 + np.exp(-w * pre_before))
+        z = preset.beta * z + (columns["postsynaptic"][k] - fires) * pre_before
+        w += preset.gamma * columns["reward"][k] * z
+        assert columns["trace"][k] == pytest.approx(z, abs=1e-12)
+        assert columns["weight"][k] == pytest.approx(w, abs=1e-12)
+        pre_before = columns["presynaptic"][k]
+    change = columns["weight"] - columns["weight_before"]
+    by_letter = dict(zip(columns["letter"], change, strict=True))
+    for letter in "chl":
+        assert figure.says[f"weight_change_{letter}"] == by_letter[letter]
+    assert by_letter["h"] < 0.0 < by_letter["l"]
+    assert abs(by_letter["c"]) < abs(by_letter["h"]) / 4
+
+
+def test_gradient_shows_the_angles_of_real_learners_and_of_the_exact_chain(made):
+    figure = made("gradient")
+    columns, steps = figure.columns, figure.says["steps"]
+    network, weights = small_example()
+    chain = network.at(weights)
+    for k, beta in enumerate(BETAS):
+        rows = columns["beta"] == beta
+        last = np.array([columns[f"angle_{lane}"][rows][-1] for lane in range(2)])
+        assert columns["steps"][rows][-1] == steps
+        assert figure.says["angle"][k] == pytest.approx(last.mean(), rel=1e-12)
+        assert columns["angle_mean"][rows][-1] == pytest.approx(last.mean(), rel=1e-12)
+        cosine = np.cos(np.radians(columns["angle_expected"][rows][-1]))
+        assert cosine == pytest.approx(chain.expected_cosine(beta, steps=steps), abs=1e-9)
+        bias = angles(chain.biased_gradient(beta)[:, None], chain.gradient)
+        assert figure.says["bias"][k] == pytest.approx(bias[0], abs=1e-9)
+    learner = Learner(network.world, topology=network.topology, beta=0.8, gamma=STILL, first_lane=1)
+    learner.set_weights(weights[:, None])
+    learner.skip(steps)
+    angle = angles(learner.weights - weights[:, None], chain.gradient)[0]
+    assert columns["angle_1"][columns["beta"] == 0.8][-1] == pytest.approx(angle, abs=1e-4)
+    assert 0.0 < angle < 60.0
+
+
+def test_angles_are_those_between_vectors():
+    estimates = np.array([[1.0, 0.0, -2.0, 1.0, 0.0], [0.0, 3.0, 0.0, 1.0, 0.0]])
+    found = angles(estimates, np.array([1.0, 0.0]))
+    np.testing.assert_allclose(found, [0.0, 90.0, 180.0, 45.0, 90.0], atol=1e-12)
+
+
+def test_sonar_shows_the_errors_of_frozen_copies(made):
+    figure = made("sonar")
+    columns, says = figure.columns, figure.says
+    np.testing.assert_array_equal(columns["epoch"], [0, 1, 2])
+    learner = Learner(Sonar("quick"), lanes=2)
+    for epoch in range(3):
+        for name, errors in learner.task.evaluate(learner).items():
+            shown = [columns[f"{name}_{lane}"][epoch] for lane in range(2)]
+            np.testing.assert_allclose(shown, errors, rtol=0, atol=1e-12)
+            assert columns[f"{name}_mean"][epoch] == pytest.approx(errors.mean(), rel=1e-12)
+            assert columns[f"{name}_sd"][epoch] == pytest.approx(errors.std(), abs=1e-12)
+        if epoch < 2:
+            learner.skip(Sonar.epoch)
+    for name in ("training_error", "test_error"):
+        assert says[name] == columns[f"{name}_mean"][-1]
+        assert says[f"{name}_sd"] == columns[f"{name}_sd"][-1]
+    assert (says["training_error_back_propagation"], says["test_error_back_propagation"]) == (
+        0.003, 0.165,
+    )  # fmt: skip
+
+
+def test_pendulum_shows_the_falls_of_every_run(made):
+    """Blocks follow each other without a gap: their falls are all falls of the run."""
+    figure = made("pendulum")
+    columns, says = figure.columns, figure.says
+    assert list(says["presets"]) == ["quick", "raw", "paper", "literal"]
+    assert says["constant_thrust_s"] < says["random_thrust_s"] < 0.7
+    assert "10⁷" in says["literal_says"]
+    for preset in ("quick", "paper"):
+        rows = columns["preset"] == preset
+        learner = Learner(Pendulum(preset), first_lane=1)
+        learner.skip(1440)
+        before = learner.tally()
+        learner.skip(360)
+        blocks = np.diff(columns["simulated_s"][rows], prepend=0.0)
+        assert columns["simulated_s"][rows][-1] == pytest.approx(1800 * PLANT.time_step)
+        falls = np.where(columns["is_lower_bound_1"][rows] == 1, 0.0,
+                         blocks / columns["mean_time_to_fall_s_1"][rows])  # fmt: skip
+        assert falls.sum() == pytest.approx(learner.tally().ended, abs=1e-6)
+        late = learner.task.score(learner.tally() - before).value
+        assert says["presets"][preset]["mean_time_to_fall_s"][1] == pytest.approx(late, rel=1e-12)
+        end = columns["mean_time_to_fall_s_median"][rows][-1]
+        assert says["presets"][preset]["mean_time_to_fall_s_median_at_end"] == end
+
+
+def test_learning_shows_the_measure_of_a_users_task(made):
+    figure = made("learning")
+    columns, says = figure.columns, figure.says
+    learner = Learner(make_task(LEVER), first_lane=1)
+    for step, shown in zip(columns["step"], columns["average_reward_1"], strict=True):
+        before = learner.tally()
+        learner.skip(int(step) - learner.step)
+        assert shown == pytest.approx((learner.tally() - before).average_reward, abs=1e-12)
+    assert learner.step == says["steps"] == 2000
+    assert says["average_reward_median_at_end"] == columns["average_reward_median"][-1]
+    assert says["average_reward"][1] == pytest.approx(columns["average_reward_1"][-5:].mean())
+
+
+SLOW_SHARES = """
+import sys, time
+from server.experiments import workers
+
+def slowly(*given, bring_on=workers.bring_on):
+    time.sleep(0.1)
+    return bring_on(*given)
+
+workers.SHARE_SECONDS, workers.bring_on = 0.01, slowly
+from server.cli import main
+sys.exit(main())
+"""
+
+
+def test_an_interrupted_figure_goes_on_and_comes_out_the_same(made, tmp_path):
+    whole = made("sonar")
+    argv = [a if a != str(whole.folder) else str(tmp_path) for a in whole.argv]
+    process = subprocess.Popen(
+        [sys.executable, "-c", SLOW_SHARES, *argv], cwd=ROOT, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    try:
+        deadline = time.monotonic() + PATIENCE
+        while not list(tmp_path.glob("sonar-unfinished-*/*/lanes-*.npz")):
+            assert process.poll() is None, process.communicate()[1]
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    assert out == ""
+    assert "the same command goes on" in err.splitlines()[-1]
+    assert not list(tmp_path.glob("sonar.*"))
+    resumed = Made("sonar", tmp_path, SMALL["sonar"])
+    assert not list(tmp_path.glob("*unfinished*"))
+    assert same_files(whole, resumed)
+    timeless = {"seconds", "files"}
+    assert {k: v for k, v in resumed.says.items() if k not in timeless} == {
+        k: v for k, v in whole.says.items() if k not in timeless
+    }
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ("nothing --out {out}", "synapse"),
+        ("sonar", "--out"),
+        ("sonar --out {out} --hours 1", "takes no --hours"),
+        ("pendulum --out {out} --epochs 3", "takes no --epochs"),
+        ("synapse --out {out} --task sonar", "takes no --task"),
+        ("sonar --out {out} --preset none", "quick, paper"),
+        ("learning --out {out} --task {lever} --hours 1", "give --steps"),
+        ("learning --out {out} --task {lever} --epochs 1", "no epochs"),
+        ("learning --out {out} --task none", "no task 'none'"),
+        ("learning --out {out} --epochs 1 --hours 1", "not allowed with"),
+        ("pendulum --out {out} --hours 0", "hours"),
+        ("sonar --out {out} --lanes 0", "lanes"),
+        ("synapse --out {file}", "choose another"),
+    ],
+)
+def test_what_cannot_be_drawn_is_said_in_one_line(options, said, tmp_path, capsys):
+    file = tmp_path / "file"
+    file.write_text("mine")
+    argv = shlex.split(options.format(out=tmp_path / "out", file=file, lever=LEVER))
+    assert main(["figure", *argv]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert said in err
+    assert file.read_text() == "mine"

@@ -1,0 +1,182 @@
+"""Maps of β against γ: what they refuse, that they are what learners alone do, and resume."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shlex
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hebbviz import files
+from hebbviz.learner import Learner
+from server.cli import main
+from server.experiments import workers
+from server.options import parse
+from server.sweep.command import make
+from server.sweep.grid import Sweep, parse_betas, parse_gammas
+from sims.loading import make_task
+
+ROOT = Path(__file__).parents[1]
+SWEEP = Sweep(
+    task="sonar", preset="quick", hidden=(3,), betas=(0.0, 0.5), gammas=(1e-4, 0.01, 0.1), lanes=3,
+    steps=30_000, seed=4,
+)  # fmt: skip
+
+
+def test_lists_and_ranges():
+    assert parse_betas("0.9,0.5,0.9") == (0.5, 0.9)
+    assert parse_gammas("1e-4:1e-1:4,0") == (0.0, 1e-4, 1e-3, 1e-2, 1e-1)
+    assert parse_betas("0:0.999:4") == (0.0, 0.9, 0.99, 0.999), "time constants 1, 10, 100, 1000"
+    for value in parse_gammas("1e-4:1e-1:6"):
+        assert float(f"{value:.6g}") == value
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ("--beta 1", "beta must be in [0, 1)"),
+        ("--beta 0.5,", "values must be numbers"),
+        ("--gamma 0:1:3", "must lie above 0"),
+        ("--gamma 1e-3:1:1", "from 2 to 1000 values"),
+        ("--gamma 1:2:3:4", "FIRST:LAST:HOW_MANY"),
+        ("--gamma nan", "gamma (the step size) must be from 0"),
+        ("--beta 0.1:0.9:100 --gamma 0.1:0.9:100", "at most 1000 points"),
+        ("--hours 1", "has no time but its steps"),
+        ("--epochs 0", "epochs must be a whole number from 1"),
+        ("--task nothing", "there is no task 'nothing'"),
+        ("--hidden 0", "hidden"),
+        ("--lanes 0", "lanes must be a whole number"),
+        ("--scheduler nowhere", "no Dask scheduler answers at nowhere"),
+    ],
+)
+def test_what_it_refuses(options, said, tmp_path, capsys, monkeypatch):
+    if "--scheduler" in options:
+        pytest.importorskip("distributed", reason="Dask is not installed")
+        monkeypatch.setattr(workers, "CONNECT_SECONDS", 0.5)
+    task = [] if "--task" in options else ["--task", "sonar"]
+    code = main(["sweep", *task, "--out", str(tmp_path / "out"), *options.split()])
+    err = [line for line in capsys.readouterr().err.splitlines() if line.startswith("hebbviz: ")]
+    assert code == 2
+    assert said in err[-1]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    out = tmp_path_factory.mktemp("sweep")
+    return out, make(SWEEP, out, threading.Event())
+
+
+def test_a_point_is_what_learners_alone_do(made):
+    _, says = made
+    assert [(p["beta"], p["gamma"]) for p in says["points"]] == [
+        (b, g) for b in SWEEP.betas for g in SWEEP.gammas
+    ]
+    late = []
+    for gamma in (0.01, 0.0):
+        for lane in range(SWEEP.lanes):
+            learner = Learner(
+                make_task("sonar"), hidden=(3,), beta=0.5, gamma=gamma, seed=4, first_lane=lane
+            )
+            learner.skip(24_000)
+            before = learner.tally()
+            learner.skip(6_000)
+            late.append((learner.tally() - before).average_reward)
+    point, (trained, untrained) = says["points"][4], np.split(np.array(late), 2)
+    assert point["median"] == pytest.approx(100.0 * (1.0 - np.median(trained)), rel=1e-12)
+    assert point["average_reward"] == np.median(trained)
+    assert point["failing"] == np.mean(trained <= untrained.max())
+    assert says["untrained_median"] == pytest.approx(100.0 * (1.0 - np.median(untrained)))
+    rewards = [p["average_reward"] for p in says["points"]]
+    best = says["points"][int(np.argmax(rewards))]
+    assert says["best"] == {n: best[n] for n in ("beta", "gamma", "median")}
+
+
+def test_a_point_can_be_opened(made):
+    """The median lane as it was at the end, and the run from its start."""
+    _, says = made
+    point = says["points"][4]
+    words = shlex.split(point["open"])
+    learner = files.load(words[words.index("--load") + 1], make_task)
+    alone = Learner(
+        make_task("sonar"), hidden=(3,), beta=0.5, gamma=0.01, seed=4, first_lane=point["lane"]
+    )
+    alone.skip(30_000)
+    assert learner.keyframe().digest() == alone.keyframe().digest()
+    args = parse(shlex.split(point["open_start"])[1:])
+    assert (args.task, args.preset, args.hidden, args.beta, args.gamma, args.seed) == (
+        "sonar", "quick", (3,), 0.5, 0.01, 4,
+    )  # fmt: skip
+    assert Sweep.of(parse(shlex.split(says["command"])[1:])) == SWEEP
+
+
+def test_its_files_tell_the_same(made):
+    out, says = made
+    assert [Path(f).name for f in says["files"]] == ["sweep.png", "sweep.svg", "sweep.csv"]
+    lines = (out / "sweep.csv").read_text().splitlines()
+    assert lines[0] == f"# command: {says['command']}"
+    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
+    assert len(rows) == len(says["points"])
+    for row, point in zip(rows, says["points"], strict=True):
+        for name in ("beta", "gamma", "median", "failing", "average_reward"):
+            assert float(row[name]) == point[name]
+        assert row["open"] == point["open"]
+        lanes = [float(row[f"error_{k}"]) for k in range(SWEEP.lanes)]
+        assert np.median(lanes) == point["median"]
+    assert (out / "sweep.png").read_bytes().startswith(b"\x89PNG")
+    assert says["command"] in (out / "sweep.svg").read_text()
+    json.dumps(says, allow_nan=False)
+
+
+def test_more_values_go_on_from_what_is_there(made, monkeypatch):
+    out, says = made
+    done, submit = [], workers._Cores.submit
+
+    def note(self, plan, tile):
+        done.append(plan)
+        return submit(self, plan, tile)
+
+    monkeypatch.setattr(workers._Cores, "submit", note)
+    more = make(Sweep(**{**vars(SWEEP), "betas": (0.0, 0.5, 0.8)}), out, threading.Event())
+    assert {p.beta for p in done} == {0.8}
+    assert more["points"][:6] == says["points"]
+
+
+def test_ctrl_c_and_the_same_command_again(tmp_path):
+    """Stopped in its midst it says so; gone on with, it comes to what one go comes to."""
+    own = tmp_path / "own.py"
+    own.write_text("from sims.sonar import Sonar\n\n\nclass Own(Sonar):\n    name = 'own'\n")
+    out, task = tmp_path / "stopped", f"{own}:Own"
+    words = ["sweep", "--task", task, "--gamma", "0.001,0.1", "--lanes", "2", "--steps", "6000"]
+    one_step_a_share = (
+        "import sys\n"
+        "from server.cli import main\n"
+        "from server.experiments import workers\n"
+        "workers.SHARE_SECONDS = 0.0\n"
+        "sys.exit(main(sys.argv[1:]))\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", one_step_a_share, *words, "--out", str(out)],
+        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        while not list(out.glob("runs/*/lanes-*.npz")):
+            assert process.poll() is None
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        said, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert said == ""
+    assert f"stopped; the same command goes on from what is kept in {out}" in errors
+    sweep = Sweep.of(parse([*words, "--out", str(out)]))
+    stop = threading.Event()
+    points = [make(sweep, folder, stop)["points"] for folder in (out, tmp_path / "whole")]
+    for point in (*points[0], *points[1]):
+        assert f"--task {task}" in point.pop("open")
+    assert points[0] == points[1]
