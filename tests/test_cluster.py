@@ -29,8 +29,9 @@ LEVER = f"{ROOT / 'tests' / 'examples' / 'lever.py'}:Lever"
 
 
 @pytest.fixture(autouse=True)
-def short_shares(monkeypatch):
+def _short_shares(monkeypatch):
     monkeypatch.setattr(workers, "SHARE_SECONDS", 0.3)
+    monkeypatch.setattr(workers, "CONNECT_SECONDS", PATIENCE)
 
 
 class Cluster:
@@ -105,13 +106,13 @@ def test_a_killed_worker_costs_its_share_and_nothing_else(cluster, tmp_path):
     assert fractions == sorted(fractions), "nothing that was done was lost"
     for name in ("end", "reward", "broadcast", "ended"):
         assert np.array_equal(getattr(remote, name), getattr(local, name)), name
-    _a_scheduler_that_goes_away(cluster, tmp_path)
 
 
-def _a_scheduler_that_goes_away(cluster, tmp_path):
-    """It ends the run in bounded time, with a reason."""
-    plan = replace(PLAN, seed=8, segments=400)
+@pytest.mark.slow
+def test_a_scheduler_that_goes_away_ends_the_run_with_a_reason(cluster, tmp_path):
+    plan = replace(PLAN, segments=400)
     stop = threading.Event()
+    cluster.worker()
 
     def end(fraction):
         if fraction > 0.0:
@@ -125,6 +126,7 @@ def _a_scheduler_that_goes_away(cluster, tmp_path):
     assert kept[0] > 0.0, "what was done before is kept"
 
 
+@pytest.mark.slow
 def test_a_user_s_task_in_python_is_found_there(cluster):
     plan = Plan(task=LEVER, seed=2, lanes=2, segments=3, segment_steps=300)
     cluster.worker()
@@ -132,10 +134,15 @@ def test_a_user_s_task_in_python_is_found_there(cluster):
         assert np.array_equal(run(plan, there).reward, run(plan, cores).reward)
 
 
-def test_a_scheduler_without_workers_or_none_is_refused(cluster, monkeypatch):
-    monkeypatch.setattr(workers, "CONNECT_SECONDS", 1.0)
+@pytest.mark.slow
+def test_a_scheduler_without_workers_is_refused(cluster, monkeypatch):
+    monkeypatch.setattr(workers, "CONNECT_SECONDS", 2.0)
     with pytest.raises(InputError, match="has no workers"), open_workers(cluster.address):
         pass
+
+
+def test_where_no_scheduler_answers_it_says_so(monkeypatch):
+    monkeypatch.setattr(workers, "CONNECT_SECONDS", 0.5)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{taken.getsockname()[1]}"

@@ -16,6 +16,7 @@ import pytest
 
 from hebbviz.files import BadFile
 from hebbviz.learner import Learner
+from hebbviz.rules import make_rule
 from server.experiments import Interrupted, Plan, open_workers, run, run_all, workers
 from server.experiments.run import TILE, _completed
 from server.experiments.share import Tile, WrongVersion, bring_on
@@ -77,6 +78,17 @@ def test_curves_are_those_of_learners_alone(plan):
     assert scores[1, 2] == plan.make_task().score(rows[1][2]).value
     assert not bounds.any()
     assert curves.last(0.4)[2].reward == curves.reward[2, -2:].sum()
+
+
+def test_lanes_that_touch_each_other_are_one_tile(tmp_path, short_shares):
+    plan = replace(PULLS, options={"rule": "yoked"})
+    with open_workers() as cores:
+        curves = run(plan, cores, folder=tmp_path)
+    learner = Learner(make_task(LEVER), rule=make_rule("yoked"), seed=2, lanes=3)
+    totals = [learner.skip_tallied(plan.segment_steps) for _ in range(plan.segments)]
+    assert np.array_equal(curves.reward.T, [[t.reward for t in lanes] for lanes in totals])
+    assert np.array_equal(curves.broadcast.T, [[t.broadcast for t in lanes] for lanes in totals])
+    assert [(t.first_lane, t.lanes) for t in Store(tmp_path, plan).read()] == [(0, 3)]
 
 
 def test_frozen_copies_are_evaluated_lane_by_lane():

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 import hebbviz
 from hebbviz.learner import Learner
+from hebbviz.rules import Rule, make_rule
 from hebbviz.task import Tally, Task
 from sims.loading import make_task
 
@@ -24,8 +25,9 @@ Array = NDArray[np.float64]
 class Plan:
     """Lanes of one task, from their start, in equal segments: the points of a learning curve.
 
-    Lane k of a seed is the same run in every plan, whatever lanes stand beside it. A plan can be
-    pickled, and as JSON it is the name under which what was done is kept.
+    Lane k of a seed is the same run in every plan, whatever lanes stand beside it (unless the rule
+    lets lanes touch each other). A plan can be pickled, and as JSON it is the name under which
+    what was done is kept.
 
     Parameters
     ----------
@@ -36,7 +38,8 @@ class Plan:
     segments, segment_steps : points of the curve, and steps of each.
     evaluate : a frozen copy is evaluated before the first segment and after every so many; 0 for
         never.
-    options : whatever else a `Learner` takes by keyword; numbers and strings.
+    options : whatever else a `Learner` takes by keyword; numbers and strings, the rule as
+        `make_rule` reads it.
     """
 
     task: str
@@ -66,11 +69,15 @@ class Plan:
         """The task at its preset; raises ValueError and TaskError as `make_task` does."""
         return make_task(self.task, self.preset)
 
+    def rule(self) -> Rule:
+        """The rule of the options, or of the task's preset; raises as `make_rule`, `make_task`."""
+        return make_rule(self.options.get("rule") or self.make_task().preset.rule)
+
     def learner(self, first_lane: int, lanes: int) -> Learner:
         """Some of the lanes at their start; raises ValueError and TaskError as `Learner` does."""
         return Learner(
             self.make_task(), hidden=self.hidden, beta=self.beta, gamma=self.gamma, seed=self.seed,
-            first_lane=first_lane, lanes=lanes, **self.options,
+            first_lane=first_lane, lanes=lanes, **{**self.options, "rule": self.rule()},
         )  # fmt: skip
 
     def for_workers(self) -> Self:

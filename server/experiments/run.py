@@ -160,7 +160,12 @@ class _Driver:
 
 
 def _completed(plan: Plan, kept: Sequence[Tile], pieces: int) -> list[Tile]:
-    """All tiles of a plan: those that were kept, and of the lanes between them new ones."""
+    """All tiles of a plan: those that were kept, and of the lanes between them new ones.
+
+    Where its rule lets lanes touch each other, all of them are one tile.
+    """
+    if plan.rule().least_lanes > 1:
+        return list(kept) or [Tile(plan.first_lane, plan.lanes)]
     tiles: list[Tile] = []
     lane, end = plan.first_lane, plan.first_lane + plan.lanes
     for tile in (*kept, Tile(end, 0)):

@@ -84,7 +84,8 @@ class _Cores:
         threads = isinstance(plan.make_task(), CompiledTask)
         if threads not in self._executors:
             self._executors[threads] = self._threads() if threads else self._processes()
-        return _submit(self._executors[threads], plan, tile)
+        with _ctrl_c_ignored():  # by processes that start here
+            return _submit(self._executors[threads], plan, tile)
 
     def result(self, share: Future[Tile]) -> Tile:
         try:
@@ -94,6 +95,8 @@ class _Cores:
 
     def close(self) -> None:
         for executor in self._executors.values():
+            if isinstance(executor, ProcessPoolExecutor):
+                _end_processes(executor)
             executor.shutdown(wait=False, cancel_futures=True)
 
     def _threads(self) -> Executor:
@@ -111,9 +114,28 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
+@contextlib.contextmanager
+def _ctrl_c_ignored() -> Iterator[None]:
+    """A terminal sends Ctrl-C to all processes, but it is for this one to stop the others."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _end_processes(executor: ProcessPoolExecutor) -> None:
+    """At once, whatever they do: nothing hangs on a share, and its semaphores are given back."""
+    for process in list((executor._processes or {}).values()):  # noqa: SLF001  # kill_workers of 3.14
+        process.kill()
+    executor.shutdown(cancel_futures=True)
+
+
 def _begin_process() -> None:
-    """Leave Ctrl-C to the program that began this process, and end with it, however it ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """End with the program that began this process, however it ends."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 

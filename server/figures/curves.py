@@ -34,6 +34,12 @@ def words_of(plan: Plan) -> str:
     return f"{s['network']}, β {s['beta']:g}, γ {shown(s['gamma'])}"
 
 
+def preset_note(plan: Plan) -> str:
+    """What the task says of the plan's preset."""
+    task = plan.make_task()
+    return f"preset {task.preset_name}: {task.preset.note}"
+
+
 def shown(number: float) -> str:
     """As 0.01, and 10⁻⁶ in place of 1e-06."""
     digits, _, exponent = f"{number:g}".partition("e")
@@ -70,8 +76,14 @@ def draw_course(axes: Axes, course: Course, step: float, shade: Color) -> None:
     times = course.steps * step
     axes.plot(times, course.values.T, color=shade, lw=0.7, alpha=0.35)
     axes.plot(times, course.median, color=shade, lw=2.2)
-    bound = course.is_bound.mean(axis=0) >= 0.5
+    bound = is_mostly_bound(course)
     axes.plot(times[bound], course.median[bound], "o", color=shade, ms=3.5, mfc="white")
+
+
+def is_mostly_bound(course: Course) -> NDArray[np.bool_]:
+    """Where the truth is the value or more in half of the lanes, (n,)."""
+    mostly: NDArray[np.bool_] = course.is_bound.mean(axis=0) >= 0.5
+    return mostly
 
 
 def set_measure_axis(axes: Axes, measure: Measure) -> None:

@@ -10,6 +10,7 @@ from server.figures.curves import (
     course_columns,
     draw_course,
     outcome,
+    preset_note,
     set_measure_axis,
     setting,
     words_of,
@@ -48,8 +49,9 @@ def make(order: Order, work: Work) -> Sheet:
         figure = _draw(plan, task, time, course)
     numbers = setting(plan) | {"steps": plan.steps, "measure": task.measure.key}
     numbers |= outcome(task, course, curves)
-    note = f"quick: {plan.lanes} runs of {plan.steps:,} steps in place of 16 of 1,000,000"
-    return Sheet(figure, _table(task, time, course), numbers, note if order.quick else "")
+    quick = f"quick: {plan.lanes} runs of {plan.steps:,} steps in place of 16 of 1,000,000\n"
+    notes = (quick if order.quick else "") + preset_note(plan)
+    return Sheet(figure, _table(task, time, course), numbers, notes)
 
 
 def _table(task: Task, time: Time, course: Course) -> Table:

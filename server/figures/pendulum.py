@@ -19,7 +19,9 @@ from server.experiments import Curves, Plan
 from server.figures.curves import (
     course_columns,
     draw_course,
+    is_mostly_bound,
     outcome,
+    preset_note,
     set_measure_axis,
     setting,
     words_of,
@@ -78,8 +80,9 @@ def make(order: Order, work: Work) -> Sheet:
     curves = [_curve(scale, [next(found) for _ in scale]) for scale in plans]
     with look():
         figure = _draw(curves, baselines)
-    note = f"quick: {lanes} short runs in place of 16 runs of up to 10⁷ simulated seconds"
-    return Sheet(figure, _table(curves), _numbers(curves, baselines), note if order.quick else "")
+    quick = f"quick: {lanes} short runs in place of 16 runs of up to 10⁷ simulated seconds\n"
+    notes = (quick if order.quick else "") + (preset_note(curves[0].plan) if order.preset else "")
+    return Sheet(figure, _table(curves), _numbers(curves, baselines), notes)
 
 
 def _curve(scale: Sequence[Plan], found: Sequence[Curves]) -> _Curve:
@@ -177,10 +180,13 @@ def _draw(curves: Sequence[_Curve], baselines: dict[str, float]) -> Figure:
         axes.set_xlabel("simulated time, s")
     for axes in grid[:, 0]:
         set_measure_axis(axes, Pendulum.measure)
+    if any(is_mostly_bound(c.course).any() for c in curves):
+        grid[0, -1].set_title("○ at least this: most runs did not fall", loc="right", color=IDLE,
+                              fontsize=TINY, fontweight="normal")  # fmt: skip
     last = max(c.plan.steps for c in curves) * PLANT.time_step
     grid[0, 0].set(ylim=(0.15, 3e4), xlim=(min(_FIRST * PLANT.time_step, last / 100.0), last))
     figure.suptitle(
-        f"Pendulum: time to fall, {curves[0].plan.lanes} runs each, the median bold",
+        f"Pendulum: time to fall, each of {curves[0].plan.lanes} runs, and the median bold",
         x=0.015, ha="left", fontsize=9.5, fontweight="bold",
     )  # fmt: skip
     return figure

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.patheffects import withStroke
 
 from hebbviz import __version__
 from server.palette import LIGHT, Rgb
@@ -34,9 +35,9 @@ WIDTH = 7.2
 """Inches: across both columns of a paper."""
 SMALL, TINY = 7.5, 6.0
 """Points."""
-_MARGIN, _FOOT = 0.12, 0.34
-"""Inches: around the drawing, and for the lines at its foot."""
-_LINE = 150
+_MARGIN, _FOOT, _PITCH = 0.12, 0.46, 0.12
+"""Inches: around the drawing, for up to three lines at its foot, and for one of them."""
+_LETTERS = 150
 """Letters of the small print that have room; the whole of a longer command is inside the files."""
 
 
@@ -79,7 +80,8 @@ class Sheet:
     """A finished figure.
 
     `table` holds the columns of its CSV, of one length; `numbers` what it comes to, fit for
-    strict JSON; `note` what else must be said, above the small print that says its origin.
+    strict JSON; `note` what else must be said, above the small print that says its origin, in up
+    to two lines.
     """
 
     drawing: Figure
@@ -139,6 +141,14 @@ def mark_end(
     )  # fmt: skip
 
 
+def label(axes: Axes, x: float, y: float, text: str, shade: Color) -> None:
+    """Words above a line, readable where curves cross them."""
+    axes.text(
+        x, y, text, color=shade, fontsize=SMALL, va="bottom", zorder=6,
+        path_effects=[withStroke(linewidth=2.5, foreground="white", alpha=0.85)],
+    )  # fmt: skip
+
+
 def _settle(figure: Figure) -> None:
     """Lay it out for good, in round numbers: the solver's last digits change from run to run."""
     figure.draw_without_rendering()
@@ -151,10 +161,10 @@ def _settle(figure: Figure) -> None:
 def _small_print(figure: Figure, origin: Origin, note: str) -> None:
     width, height = figure.get_size_inches()
     about = f"  ·  hebbviz {origin.version}  ·  seed {origin.seed}"
-    line = shorten(origin.command, _LINE - len(about), placeholder=" …") + about
-    for row, text in enumerate((line, note)):
+    line = shorten(origin.command, _LETTERS - len(about), placeholder=" …") + about
+    for row, text in enumerate((line, *reversed(note.splitlines()))):
         figure.text(
-            _MARGIN / width, (0.08 + 0.13 * row) / height, text, fontsize=TINY,
+            _MARGIN / width, (0.08 + _PITCH * row) / height, shorten(text, _LETTERS), fontsize=TINY,
             color=IDLE if row == 0 else INK, ha="left", va="bottom", in_layout=False,
         )  # fmt: skip
 

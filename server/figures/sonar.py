@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from server import palette
 from server.experiments import Curves, Plan
-from server.figures.curves import lane_columns, setting, words_of
+from server.figures.curves import lane_columns, preset_note, setting, words_of
 from server.figures.length import cut
-from server.figures.sheet import INK, SMALL, Sheet, Table, blank, color, look, mark_end
+from server.figures.sheet import INK, SMALL, Sheet, Table, blank, color, label, look, mark_end
 from sims.sonar import Sonar
 
 if TYPE_CHECKING:
@@ -63,11 +63,12 @@ def make(order: Order, work: Work) -> Sheet:
     (curves,) = work.curves([plan])
     with look():
         figure = _draw(plan, curves)
-    note = (
+    quick = (
         f"quick: preset {plan.preset}, {plan.lanes} runs of {plan.steps // EPOCH} epochs in place "
-        f"of preset {_FULL.preset}, {_FULL.lanes} runs of {_FULL.epochs:,}"
+        f"of preset {_FULL.preset}, {_FULL.lanes} runs of {_FULL.epochs:,}\n"
     )
-    return Sheet(figure, _table(curves), _numbers(plan, curves), note if order.quick else "")
+    notes = (quick if order.quick else "") + preset_note(plan)
+    return Sheet(figure, _table(curves), _numbers(plan, curves), notes)
 
 
 def _numbers(plan: Plan, curves: Curves) -> dict[str, Any]:
@@ -106,8 +107,8 @@ def _draw(plan: Plan, curves: Curves) -> Figure:
         mark_end(axes, epochs[-1], mean[-1], f"{words}\n{mean[-1]:.1f} ± {sd[-1]:.1f} %", shade)
         reference = 100.0 * BACK_PROPAGATION[name]
         axes.axhline(reference, color=shade, lw=1.0, ls=(0, (1, 1.6)))
-        axes.text(epochs[-1] * 0.02, reference + 0.5, f"back-propagation, {words}: {reference:g} %",
-                  color=shade, fontsize=SMALL, va="bottom")  # fmt: skip
+        words = f"back-propagation, {words}: {reference:g} %"
+        label(axes, epochs[-1] * 0.02, reference + 0.4, words, shade)
     axes.set(xlim=(0, epochs[-1]), ylim=(0, 55), xlabel="epochs of 187 patterns, 1,000 steps each",
              ylabel="error of a frozen copy, %")  # fmt: skip
     axes.xaxis.set_major_locator(MaxNLocator(10, integer=True))

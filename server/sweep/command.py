@@ -17,6 +17,7 @@ from server.figures.sheet import Origin, save
 from server.sweep.grid import Sweep, learners_file
 from server.sweep.heat_map import sheet
 from server.sweep.outcome import outcome
+from server.train import announced_on_terminal
 from sims import TASKS
 
 if TYPE_CHECKING:
@@ -39,8 +40,7 @@ def make(
     prepare_folder(out)
     began = time.perf_counter()
     try:
-        with progress_bar("sweep") as progress, open_workers(scheduler) as workers:
-            done = finish(sweep.plans(), workers, folder=out / KEPT, stop=stop, progress=progress)
+        done = _run(sweep, out / KEPT, stop, scheduler)
     except Interrupted:
         return None
     task = sweep.untrained.make_task()
@@ -56,6 +56,15 @@ def make(
         "steps": sweep.untrained.steps, "measure": task.measure.key, "unit": task.measure.unit,
         **drawn.numbers,
     }  # fmt: skip
+
+
+def _run(sweep: Sweep, folder: Path, stop: threading.Event, scheduler: str | None) -> list[Done]:
+    with (
+        announced_on_terminal(),
+        open_workers(scheduler) as workers,
+        progress_bar("sweep") as progress,
+    ):
+        return finish(sweep.plans(), workers, folder=folder, stop=stop, progress=progress)
 
 
 def _openings(sweep: Sweep, done: Done, point: Outcome, out: Path) -> dict[str, Any]:

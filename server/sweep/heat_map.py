@@ -47,9 +47,9 @@ def sheet(
         ],
     }  # fmt: skip
     note = (
-        f"Each cell: median of {sweep.lanes} runs of {untrained.plan.steps:,} steps, over the last "
-        f"fifth; untrained {untrained.median:.3g}. Fail: rewarded no more than the luckiest of the "
-        "untrained runs. Framed: rewarded most."
+        f"Medians of {sweep.lanes} runs of {untrained.plan.steps:,} steps, last fifth; "
+        f"untrained {untrained.median:.3g}; fail: rewarded no more than the luckiest "
+        "untrained one; framed: rewarded most."
     )
     return Sheet(figure, _table(task, points, untrained, more), numbers, note)
 
@@ -133,4 +133,4 @@ def _mark_best(axes: Axes, points: Sequence[Outcome], columns: int) -> None:
     """A frame around the cell that is rewarded most."""
     best = int(np.argmax([np.median(p.reward) for p in points]))
     y, x = divmod(best, columns)
-    axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, ec=INK, lw=2.0))
+    axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, ec=INK, lw=2.0, clip_on=False))
