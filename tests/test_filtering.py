@@ -10,7 +10,7 @@ from hebbviz.learner import Learner
 from sims.filtering import BASELINE, COLUMNS, NOISE, SWITCH, Filtering, bayes_filter
 from sims.loading import make_task
 
-LANES = 16
+LANES = 8
 
 
 def table(world, says):
@@ -69,13 +69,13 @@ def test_the_bayes_filter_lies_between_its_bounds():
 
 
 def test_it_is_learnt_well_above_the_baseline():
-    """16 seeds, 300 000 steps each; of 32, after 10⁶, the worst was right 0.88 of the time."""
+    """8 seeds, 300 000 steps each; of 32, after 10⁶, the worst was right 0.88 of the time."""
     learner = Learner(Filtering(), lanes=LANES)
     learner.skip(240_000)
     before = [learner.tally(k) for k in range(LANES)]
     learner.skip(60_000)
     right = [(learner.tally(k) - b).average_reward for k, b in enumerate(before)]
-    assert min(right) > BASELINE + 0.03
+    assert min(right) > BASELINE + 0.04
     assert np.median(right) > BASELINE + 0.06
     assert max(right) < bayes_filter()[1]
 
