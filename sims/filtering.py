@@ -43,7 +43,7 @@ _SWING = 0.15
 """How far above or below the middle of its row a tile is."""
 _BOARD, _BOARD_AT = (strip.WIDTH, 0.06, 2.0), (0.0, 0.0, 1.0)
 _ROWS = tuple(
-    Row(name, "box", ("negative", "positive"), COLUMNS, -0.08, z)
+    Row(name, "box", ("negative", "positive"), COLUMNS, -0.08, (z - _SWING, z + _SWING))
     for name, z in (("signal", 1.62), ("seen", 1.0), ("answer", 0.38))
 )
 
@@ -123,7 +123,7 @@ class Filtering(FiniteWorld):
         traces = self.traces(states)
         board = strip.upright(*(np.tile(a, (len(states), 1, 1)) for a in (_BOARD_AT, _BOARD)))
         rows = [
-            row.poses(sign, _sizes(sign == traces[0]), np.where(sign == 1, _SWING, -_SWING))
+            row.poses(sign, _sizes(sign == traces[0]))
             for row, sign in zip(_ROWS, traces, strict=True)
         ]
         return strip.together(board, *rows)

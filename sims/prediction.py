@@ -52,7 +52,8 @@ _COLORS = ((0.86, 0.15, 0.16), (0.98, 0.68, 0.12), (0.16, 0.68, 0.36))
 _BALL, _SMALL, _LAMP = 0.34, 0.14, 0.36
 """Diameters: of a light that was and of a right prediction, of a wrong one, of a lamp."""
 _WAS, _SAID = (
-    Row(name, "sphere", _COLORS, COLUMNS, y, 0.0) for name, y in (("light", -0.35), ("said", -1.0))
+    Row(name, "sphere", _COLORS, COLUMNS, y, 3 * (_BALL / 2,))
+    for name, y in (("light", -0.35), ("said", -1.0))
 )
 _FLOOR, _POST = (strip.WIDTH, 2.7, 0.04), (0.56, 0.3, 1.5)
 _STANDING_AT = np.array(
@@ -150,17 +151,12 @@ class Prediction(FiniteWorld):
 
     def poses(self, states: Array) -> strip.Poses:
         light, said = self.symbols(states)
-        was = np.full(light.shape, _BALL)
+        size = np.where(light == said, _BALL, _SMALL)[..., None]
         return strip.together(
             _traffic_light(light[:, -1]),
-            _standing(_WAS, light, was),
-            _standing(_SAID, said, np.where(light == said, _BALL, _SMALL)),
+            _WAS.poses(light, np.full((*light.shape, 3), _BALL)),
+            _SAID.poses(said, np.repeat(size, 3, axis=-1)),
         )
-
-
-def _standing(row: Row, light: Whole, size: Array) -> strip.Poses:
-    """Balls of these diameters (n, columns) on the floor."""
-    return row.poses(light, np.repeat(size[..., None], 3, axis=-1), size / 2)
 
 
 def _traffic_light(light: Whole) -> strip.Poses:

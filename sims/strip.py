@@ -1,7 +1,8 @@
 """The last steps of a world as rows of things: one column a step, the newest at the right.
 
 In each column of a row a thing of one of several colors is seen. Its props are one of each color
-in every column; those that are not meant have no extent.
+in every column, and none of them moves: those that are not meant have no extent. So a recording,
+which writes what changed, writes little.
 """
 
 from __future__ import annotations
@@ -26,14 +27,17 @@ WIDTH = 4.2
 
 @dataclass(frozen=True)
 class Row:
-    """One row: its name, the shape and the colors of its things, how many columns, and where."""
+    """One row: its name, the shape and the colors of its things, how many columns, and where.
+
+    `z` is the height of the middle of a thing of each color.
+    """
 
     name: str
     shape: str
     colors: tuple[Color, ...]
     columns: int
     y: float
-    z: float
+    z: tuple[float, ...]
 
     @property
     def props(self) -> tuple[Prop, ...]:
@@ -43,11 +47,10 @@ class Row:
             for kind, color in enumerate(self.colors)
         )
 
-    def poses(self, kind: Whole, size: Array, rise: Array) -> Poses:
+    def poses(self, kind: Whole, size: Array) -> Poses:
         """Things of the colors `kind` (n, columns), nothing where it is negative.
 
-        `size` (n, columns, 3) is their extent, `rise` (n, columns) how far above `z` their middle
-        is.
+        `size` (n, columns, 3) is their extent.
         """
         n, kinds = len(kind), len(self.colors)
         meant = kind[..., None] == np.arange(kinds)
@@ -56,7 +59,7 @@ class Row:
         x = WIDTH * ((np.arange(self.columns) + 0.5) / self.columns - 0.5)
         position[..., 0] = x[:, None]
         position[..., 1] = self.y
-        position[..., 2] = self.z + rise[..., None]
+        position[..., 2] = self.z
         return upright(position.reshape(n, -1, 3), scale.reshape(n, -1, 3))
 
 
