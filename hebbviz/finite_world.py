@@ -24,8 +24,15 @@ from hebbviz.topology import SYMMETRIC, Activity
 
 Array = NDArray[np.float64]
 
-_X, _Y = range(2)
-_STATES, _SIGHTS, _CONTROLS, _INPUTS = range(4)
+Whole = NDArray[np.int64]
+
+_X, _Y, _PAST = range(3)
+_STATES, _SIGHTS, _CONTROLS, _INPUTS, _PASTS = range(5)
+
+NOTHING = -1
+"""In a history, for what was before the start."""
+LARGEST_PAST = 2**53
+"""Whole numbers up to here are exact in float64."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -50,6 +57,9 @@ def answer(world, action, data, keys, step, observation, reward, ended):  # type
                 control += power
             power *= 2
         x, y = np.int64(world[_X, lane]), np.int64(world[_Y, lane])
+        if world.shape[0] > _PAST:
+            longer = np.int64(world[_PAST, lane]) * (states * sights + 1) + x * sights + y + 1
+            world[_PAST, lane] = longer % np.int64(data[0, _PASTS])
         of_state, of_sight, _, _ = four_uniforms(keys[0, lane], keys[1, lane], WORLD, step, 0)
         x = _drawn(data, 1 + control * states + x, states, of_state)
         sight = _drawn(data, seen + x, sights, of_sight)
@@ -66,6 +76,10 @@ def answer(world, action, data, keys, step, observation, reward, ended):  # type
 class FiniteWorld(CompiledTask):
     """State: x and y. A subclass says which world: `pomdp`, `vectors` and `outputs`.
 
+    Where `past` is not 0, the state is followed by one number that holds the `past` pairs x, y
+    before: to be shown, for the world itself does not depend on it. `history` reads it. Its
+    digits, the latest last, are 1 + x·Y + y, and 0 before the start.
+
     `vectors` (Y, inputs) are the input values for each observation; the inputs are numbered if
     the subclass does not name them. An episode never ends; the first x is uniform over the
     states. `finite_world` makes one without a class of your own.
@@ -73,11 +87,13 @@ class FiniteWorld(CompiledTask):
     Raises
     ------
     ValueError
-        If the vectors are not one for each observation, or inputs and outputs do not fit.
+        If the vectors are not one for each observation, inputs and outputs do not fit, or the
+        past does not fit in one number.
     """
 
     pomdp: ClassVar[POMDP]
     vectors: ClassVar[Array]
+    past: ClassVar[int] = 0
     answer = answer
 
     def __init__(self, preset: str | None = None) -> None:
@@ -97,13 +113,20 @@ class FiniteWorld(CompiledTask):
         )
         if len(self.inputs) != shape[1]:
             raise ValueError(f"{len(self.inputs)} inputs have names, vectors have {shape[1]}")
+        self._base = self.pomdp.states * sights + 1
+        if self._base**self.past > LARGEST_PAST:
+            raise ValueError(
+                f"a past of {self.past} steps of {self._base - 1} pairs is too long for one number"
+            )
         self._next = self.pomdp.transitions.cumsum(axis=2)
         self._sight = self.pomdp.observations.cumsum(axis=1)
 
     def data(self) -> Array:
         """What `answer` reads: sizes; sums of P(u), row by row, of ν; vectors; rewards."""
         w = self.pomdp
-        sizes = np.array([[w.states, w.sights, w.controls, len(self.inputs)]])
+        sizes = np.array(
+            [[w.states, w.sights, w.controls, len(self.inputs), self._base**self.past]]
+        )
         parts = (
             sizes, self._next.reshape(-1, w.states), self._sight, self.vectors, w.rewards[None],
         )  # fmt: skip
@@ -112,20 +135,40 @@ class FiniteWorld(CompiledTask):
 
     def restart(self, draws: Callable[[int], Array]) -> Array:
         of_state, of_sight = draws(2)
-        x = int(of_state * self.pomdp.states)
-        return np.array([x, _first_above(self._sight[x], of_sight)], dtype=np.float64)
+        return self._state(int(of_state * self.pomdp.states), of_sight, 0)
 
     def transition(self, state: Array, action: Array, draws: Callable[[int], Array]) -> Array:
         of_state, of_sight = draws(2)
         control = sum(2**i for i, u in enumerate(action) if u > 0.0)
-        x = _first_above(self._next[control, int(state[_X])], of_state)
-        return np.array([x, _first_above(self._sight[x], of_sight)], dtype=np.float64)
+        x, past = int(state[_X]), 0
+        if self.past:
+            pair = x * self.pomdp.sights + int(state[_Y])
+            past = (int(state[_PAST]) * self._base + pair + 1) % self._base**self.past
+        return self._state(_first_above(self._next[control, x], of_state), of_sight, past)
 
     def observation(self, state: Array) -> Array:
         return np.array(self.vectors[int(state[_Y])], dtype=np.float64)
 
     def reward(self, state: Array) -> float:
         return float(self.pomdp.rewards[int(state[_X])])
+
+    def history(self, states: Array) -> tuple[Whole, Whole]:
+        """x and y of the `past` steps before and of the present one, each (n, past + 1).
+
+        Of states (n, numbers); the present is the last column, NOTHING is before the start.
+        """
+        x, y = states[:, [_X]].astype(np.int64), states[:, [_Y]].astype(np.int64)
+        if not self.past:
+            return x, y
+        powers = self._base ** np.arange(self.past - 1, -1, -1, dtype=np.int64)
+        pair = states[:, [_PAST]].astype(np.int64) // powers % self._base - 1
+        x_before = np.where(pair < 0, NOTHING, pair // self.pomdp.sights)
+        y_before = np.where(pair < 0, NOTHING, pair % self.pomdp.sights)
+        return np.hstack([x_before, x]), np.hstack([y_before, y])
+
+    def _state(self, x: int, of_sight: float, past: int) -> Array:
+        y = _first_above(self._sight[x], of_sight)
+        return np.array([x, y, past] if self.past else [x, y], dtype=np.float64)
 
 
 def finite_world(

@@ -22,6 +22,8 @@ WIDTH, LAYER = 4.4, 1.55
 """Extent of the widest layer and distance between layers, in scene units."""
 ROW_OF_NEURONS, ROW_OF_INPUTS = 24, 64
 """Larger groups are laid out in several rows, one behind the other."""
+LARGEST_RING, RING_TILT = 8, 0.45
+"""Neurons in a ring at most, and how far its back rises, as a share of its depth."""
 LARGEST_RADIUS = 0.2
 MOST_SYNAPSES_DRAWN = 1200
 THICKEST, THINNEST = 0.055, 0.008
@@ -72,20 +74,36 @@ class Place:
 
 
 def place(topology: Topology) -> Place:
-    """Layers one above the other in the order of the groups, inputs at the bottom."""
+    """Layers one above the other in the order of the groups, inputs at the bottom.
+
+    A group that projects to itself stands in a ring, so that its synapses do not lie on one line.
+    """
     units, radii = [], []
+    recurrent = {p.post for p in topology.projections if p.pre == p.post}
     large = float(np.clip(7.0 / topology.units, 1.0, 2.6))
     for level, group in enumerate((*topology.input_groups, *topology.neuron_groups)):
         longest = ROW_OF_INPUTS if group.is_input else ROW_OF_NEURONS
         rows = math.ceil(group.size / longest)
         columns = math.ceil(group.size / rows)
         gap = min(0.95, WIDTH / max(1, columns))
+        if group.name in recurrent and 2 < group.size <= LARGEST_RING:
+            units.append(_ring(group.size, gap) + (0.0, 0.0, LAYER * level))
+            radii.append(np.full(group.size, min(LARGEST_RADIUS * large, 0.36 * gap)))
+            continue
         index = np.arange(group.size)
         x = (index % columns - (columns - 1) / 2) * gap
         y = (index // columns) * gap
         units.append(np.stack([x, y, np.full(group.size, LAYER * level)], axis=1))
         radii.append(np.full(group.size, min(LARGEST_RADIUS * large, 0.36 * gap)))
     return Place(np.concatenate(units), np.concatenate(radii), large)
+
+
+def _ring(size: int, gap: float) -> Array:
+    """Places on a circle, neighbours `gap` apart, tilted towards who looks from the front."""
+    radius = gap / (2 * np.sin(np.pi / size))
+    turn = 2 * np.pi * (np.arange(size) + 0.5) / size
+    x, y = -radius * np.cos(turn), radius * np.sin(turn)
+    return np.stack([x, y, RING_TILT * y], axis=1)
 
 
 def network_at(task: Task) -> tuple[float, float, float]:

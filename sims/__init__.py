@@ -6,7 +6,13 @@ from importlib import import_module
 
 from hebbviz.task import Task
 
-TASKS = {"pendulum": "Pendulum", "sonar": "Sonar", "synapse": "Synapse"}
+TASKS = {
+    "pendulum": "Pendulum",
+    "sonar": "Sonar",
+    "synapse": "Synapse",
+    "prediction": "Prediction",
+    "filtering": "Filtering",
+}
 """Built-in tasks: module of this package, and the class in it."""
 
 

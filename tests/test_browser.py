@@ -345,6 +345,22 @@ def test_sonar_shows_the_class_and_the_prediction(page: Page, live: Live) -> Non
     assert "tilt" not in text_of(page)
 
 
+@pytest.mark.parametrize(
+    ("task", "words"),
+    [
+        ("prediction", r"it is (red|amber|green), predicted was (red|amber|green): (right|wrong)"),
+        ("filtering", r"signal [+-]1, seen [+-]1, answer [+-]1: (right|wrong)"),
+    ],
+    ids=["prediction", "filtering"],
+)
+def test_a_small_task_tells_what_is_asked_and_answered(
+    page: Page, live: Live, task: str, words: str
+) -> None:
+    choose(page, "task", task)
+    eventually(page, lambda: live.picture.task_name == task)
+    eventually(page, lambda: re.search(words, text_of(page)))
+
+
 # Tabs and picks
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from hebbviz.topology import SYMMETRIC, Group, Projection, Topology, feedforward
 from server import palette, words
 from server.images import RASTER_STEPS, WIDTH, heat_map, raster
 from server.look import (
+    LARGEST_RING,
     MOST_SYNAPSES_DRAWN,
     Looks,
     Scale,
@@ -72,6 +74,21 @@ def test_every_synapse_runs_between_its_units_at_any_topology() -> None:
             assert pre[s] == topology.first_unit(p.pre) + j
         assert where.stop - where.start == rows * columns
     assert len(set(map(tuple, place(topology).units.round(9)))) == topology.units
+
+
+@pytest.mark.parametrize("size", [3, 6, LARGEST_RING])
+def test_neurons_that_hear_each_other_stand_in_a_ring(size: int) -> None:
+    """So that no synapse between two of them runs through a third."""
+    layers = feedforward(2, (size,), 1)
+    loop = Projection("hidden", "hidden")
+    ring = place(replace(layers, projections=(*layers.projections, loop)))
+    at, radius = ring.units[2:-1], ring.radius[2:-1]
+    for a, b, c in permutations(range(size), 3):
+        along = (at[b] - at[a]) / np.linalg.norm(at[b] - at[a])
+        aside = np.linalg.norm(np.cross(at[c] - at[a], along))
+        beyond = along @ (at[c] - at[a])
+        assert aside > radius[c] or not 0 < beyond < np.linalg.norm(at[b] - at[a])
+    assert np.ptp(place(layers).units[2:-1, 2]) == 0.0
 
 
 def test_a_spike_is_lit_and_silence_is_not_and_sizes_follow_the_numbers() -> None:
