@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 
 from hebbviz.chance import WORLD, four_uniforms
 from hebbviz.engine import WORLD as WORLD_SIGNATURE
+from hebbviz.exact import ExactNetwork
 from hebbviz.pomdp import POMDP
 from hebbviz.task import CompiledTask, Input, Output, Preset
-from hebbviz.topology import SYMMETRIC, Activity
+from hebbviz.topology import SYMMETRIC, Activity, Topology
+from hebbviz.truth import GradientTruth
 
 Array = NDArray[np.float64]
 
@@ -97,6 +99,7 @@ class FiniteWorld(CompiledTask):
         )
         if len(self.inputs) != shape[1]:
             raise ValueError(f"{len(self.inputs)} inputs have names, vectors have {shape[1]}")
+        self._exact: ExactNetwork | None = None
         self._next = self.pomdp.transitions.cumsum(axis=2)
         self._sight = self.pomdp.observations.cumsum(axis=1)
 
@@ -126,6 +129,21 @@ class FiniteWorld(CompiledTask):
 
     def reward(self, state: Array) -> float:
         return float(self.pomdp.rewards[int(state[_X])])
+
+    def truth(self, weights: Array, topology: Topology, beta: float) -> GradientTruth:
+        """From the exact chain; raises ValueError where the network is too large for one."""
+        exact = self._exact
+        if exact is None or exact.topology != topology:
+            exact = self._exact = ExactNetwork(self, topology)
+        chain = exact.at(weights)
+        return GradientTruth(
+            chain.gradient, chain.biased_gradient(beta), chain.noise(beta),
+            chain.average_reward, self.best_reward(topology),
+        )  # fmt: skip
+
+    def best_reward(self, topology: Topology) -> float | None:
+        """The most that a network of this topology can earn a step, None if that is not known."""
+        return None
 
 
 def finite_world(

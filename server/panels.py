@@ -12,6 +12,7 @@ from hebbviz.task import Task
 from hebbviz.topology import Topology
 from server import palette, words
 from server.charts import Chart, Cursor, Points
+from server.gradient_panel import GradientPanel
 from server.history import Curve
 from server.images import heat_map, raster
 from server.look import Scale, neuron_names
@@ -40,6 +41,9 @@ class Panels:
         self._handles: list[Any] = []
         self._turn = 0
         self._tabs = tabs
+        self._gradient: GradientPanel | None = None
+        if "gradient" in tabs:
+            self._gradient = self._hold(GradientPanel(gui, tabs, picture, theme))
         self._build_learning(gui, picture)
         self._build_reward(gui)
         self._build_now(gui)
@@ -49,6 +53,7 @@ class Panels:
             self._draw_learning, self._draw_raster, self._draw_reward, self._draw_potentials,
             self._draw_rates, self._draw_maps,
             *((self._draw_synapse,) if self._synapse_chart is not None else ()),
+            *((self._gradient.draw,) if self._gradient is not None else ()),
         )  # fmt: skip
 
     def remove(self) -> None:

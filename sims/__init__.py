@@ -6,7 +6,9 @@ from importlib import import_module
 
 from hebbviz.task import Task
 
-TASKS = {"pendulum": "Pendulum", "sonar": "Sonar", "synapse": "Synapse"}
+TASKS = {
+    "pendulum": "Pendulum", "sonar": "Sonar", "synapse": "Synapse", "gradient": "Gradient",
+}  # fmt: skip
 """Built-in tasks: module of this package, and the class in it."""
 
 
