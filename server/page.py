@@ -32,7 +32,7 @@ from server.worker import Worker
 TEXT_SECONDS = 0.2
 """Words and numbers change no more often than this, so that they can be read."""
 COLUMN = 348
-"""Width of the charts' column."""
+"""Width of the panels with the charts."""
 NOTICE_SECONDS = 6.0
 CAMERA_SECONDS = 0.7
 """A page that has just opened is still going to its initial camera."""
@@ -110,17 +110,13 @@ class Page:
         self._build_controls(Widgets(gui, worker.send, self.notify), picture.seed)
         self._build_view(gui)
         self._health = gui.add_markdown("")
-        above, below = self._columns = gui.add_panel(), gui.add_panel()
         self._tabs = self._make_tabs(picture)
-        above.dock_left()
-        above.set_width(COLUMN)
-        below.dock_below(above)
         self._rebuild(picture)
         server.on_client_connect(self._welcome)
         server.on_client_disconnect(self._disconnected)
 
     def _make_tabs(self, picture: Picture) -> dict[str, Any]:
-        """All tabs beside the scene; first, of a task that knows its true gradient, those of it."""
+        """Two panels beside the scene, and their tabs; first those of a truth that is known."""
         above = {
             "run": ("Learning", viser.Icon.CHART_LINE),
             "reward": ("Reward, rates", viser.Icon.ACTIVITY),
@@ -132,19 +128,23 @@ class Page:
         if knows_its_truth(picture.task):
             above = {"gradient": ("Gradient", viser.Icon.COMPASS)} | above
             below = {"angle": ("Angle", viser.Icon.ANGLE)} | below
-        return {
+        upper, lower = self._beside = self._server.gui.add_panel(), self._server.gui.add_panel()
+        made = {
             key: panel.add_tab(*tab)
-            for panel, tabs in zip(self._columns, (above, below), strict=True)
+            for panel, tabs in ((upper, above), (lower, below))
             for key, tab in tabs.items()
         }
+        upper.dock_left()
+        upper.set_width(COLUMN)
+        lower.dock_below(upper)
+        return made
 
     def _remake_tabs(self, picture: Picture) -> None:
-        """With or without the tabs of the truth, whichever the task asks for."""
+        """With or without the tabs of a truth, whichever the task asks for."""
         if ("gradient" in self._tabs) != knows_its_truth(picture.task):
-            old, self._tabs = self._tabs, self._make_tabs(picture)
-            for tab in old.values():  # last: a panel without a tab would lose its place
-                tab.remove()
-            self._columns[0].set_width(COLUMN)
+            for panel in self._beside:
+                panel.remove()
+            self._tabs = self._make_tabs(picture)
 
     def _build_controls(self, widgets: Widgets, seed: int) -> None:
         controls = self._controls = Controls(widgets, seed)
