@@ -119,7 +119,7 @@ def _add_train(commands: Any) -> None:
 def _add_learner(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--task", metavar="T",
-        help="pendulum, sonar, synapse, or your own as path.py:Name "
+        help="pendulum, sonar, synapse, gradient, or your own as path.py:Name "
         f"(default {DEFAULT_TASK})",
     )  # fmt: skip
     parser.add_argument("--preset", metavar="P", help="a setting of the task (default its first)")
