@@ -30,15 +30,19 @@ For synapses d steps away it is d/(d + 1) in place of 1/2. `Chain.best_beta` fin
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.chain import Chain
-from hebbviz.finite_world import FiniteWorld
 from hebbviz.policies import mixed_digits
 from hebbviz.pomdp import POMDP
 from hebbviz.reference import sigma
 from hebbviz.topology import Topology
+
+if TYPE_CHECKING:
+    from hebbviz.finite_world import FiniteWorld
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -106,11 +110,11 @@ class ExactNetwork:
                 f"the network {t.inputs} and {outputs.stop - outputs.start}"
             )
         self.pairs: Whole = np.argwhere(world.pomdp.observations > 0.0)
-        numbers = 2**t.neurons * (2**t.neurons * len(self.pairs)) ** 2
-        if numbers > MOST_NUMBERS:
+        if 2 ** (3 * t.neurons) * len(self.pairs) ** 2 > MOST_NUMBERS:
             raise ValueError(
                 f"{t.neurons} neurons and {len(self.pairs)} states of the world make a table of "
-                f"{numbers} numbers, the most is {MOST_NUMBERS}; take fewer neurons"
+                f"2^{3 * t.neurons} × {len(self.pairs)}² numbers, the most is {MOST_NUMBERS:,}; "
+                "take fewer neurons"
             )
         self.policy = NetworkPolicy(t, world.vectors)
         self.pomdp = self._pomdp()

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 
 from hebbviz.chance import WORLD, four_uniforms
 from hebbviz.engine import WORLD as WORLD_SIGNATURE
+from hebbviz.exact import ExactNetwork
 from hebbviz.pomdp import POMDP
 from hebbviz.task import CompiledTask, Input, Output, Preset
-from hebbviz.topology import SYMMETRIC, Activity
+from hebbviz.topology import SYMMETRIC, Activity, Topology
+from hebbviz.truth import GradientTruth
 
 Array = NDArray[np.float64]
 
@@ -118,6 +120,7 @@ class FiniteWorld(CompiledTask):
             raise ValueError(
                 f"a past of {self.past} steps of {self._base - 1} pairs is too long for one number"
             )
+        self._exact: ExactNetwork | None = None
         self._next = self.pomdp.transitions.cumsum(axis=2)
         self._sight = self.pomdp.observations.cumsum(axis=1)
 
@@ -169,6 +172,21 @@ class FiniteWorld(CompiledTask):
     def _state(self, x: int, of_sight: float, past: int) -> Array:
         y = _first_above(self._sight[x], of_sight)
         return np.array([x, y, past] if self.past else [x, y], dtype=np.float64)
+
+    def truth(self, weights: Array, topology: Topology, beta: float) -> GradientTruth:
+        """From the exact chain; raises ValueError where the network is too large for one."""
+        exact = self._exact
+        if exact is None or exact.topology != topology:
+            exact = self._exact = ExactNetwork(self, topology)
+        chain = exact.at(weights)
+        return GradientTruth(
+            chain.gradient, chain.biased_gradient(beta), chain.noise(beta),
+            chain.average_reward, self.best_reward(topology),
+        )  # fmt: skip
+
+    def best_reward(self, topology: Topology) -> float | None:
+        """The most that a network of this topology can earn a step, None if that is not known."""
+        return None
 
 
 def finite_world(

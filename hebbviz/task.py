@@ -20,6 +20,7 @@ from hebbviz.topology import SYMMETRIC, Activity, Topology, feedforward
 
 if TYPE_CHECKING:
     from hebbviz.learner import Learner
+    from hebbviz.truth import GradientTruth
 
 Array = NDArray[np.float64]
 
@@ -179,7 +180,7 @@ class Task:
     """What recordings plot of the world, in the order of `read`."""
     props: Sequence[Prop] = ()
     controls: ClassVar[tuple[Control, ...]] = ()
-    natural_speed: ClassVar[float | None] = None
+    natural_speed: float | None = None
     """Steps per second at which the page opens; None for as fast as it goes."""
     watch_speed: ClassVar[float | None] = None
     """Steps per second of the excerpts that the page plays; None for real time, or 25."""
@@ -267,6 +268,15 @@ class Task:
     def results(self, learner: Learner, late: Tally) -> dict[str, float]:
         """The figures `hebbviz train` reports; `late` covers the last fifth of its steps."""
         return {self.measure.key: self.score(late).value}
+
+    def truth(self, weights: Array, topology: Topology, beta: float) -> GradientTruth | None:
+        """The true gradient for `weights` (synapses,), of a task that can know it; else None.
+
+        A task that has it is shown with it beside the rule's estimate. It is asked for a few
+        times a second, by several threads. Raises ValueError where there is none for this
+        network, and says why.
+        """
+        return None
 
     # What a learner starts from
 

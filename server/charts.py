@@ -27,6 +27,8 @@ SHRINK_DRAWINGS = 40
 """A vertical axis is made smaller when the curves did with this share of it so many times."""
 ROOM = 0.25
 """Left free above and below, as a share of the curves' height, so that they seldom leave."""
+MOST_DECADES = 4
+"""Of a logarithmic axis of steps: uPlot writes the numbers of more than these over each other."""
 MARK_HEIGHT = 0.03
 MARK: Rgb = (150, 150, 160)
 CURSOR: Rgb = (240, 72, 112)
@@ -55,7 +57,8 @@ class Chart:
 
     `container` is the tab or folder it stands in. Without a `span` its vertical axis holds still
     until the curves leave it, and is then drawn anew: uPlot's own automatic range takes a NaN,
-    which leaves a point out, for a number.
+    which leaves a point out, for a number. `log_steps`: a logarithmic horizontal axis, of steps
+    above 0.
     """
 
     def __init__(
@@ -70,6 +73,7 @@ class Chart:
         dashed: Sequence[str] = (),
         dotted: Sequence[str] = (),
         logarithmic: bool = False,
+        log_steps: bool = False,
         legend: bool = True,
         span: Span | None = None,
         height: int = HEIGHT,
@@ -77,7 +81,9 @@ class Chart:
         self._gui, self._container, self._title = gui, container, title
         self._usual, self._dashed, self._dotted = dict(series), frozenset(dashed), frozenset(dotted)
         self._banded, self._widths = tuple(banded), dict(widths)
-        self._logarithmic, self._legend, self._height = logarithmic, legend, height
+        self._logarithmic = logarithmic
+        self._decades: Span | None = (1.0, 10.0) if log_steps else None
+        self._legend, self._height = legend, height
         self._more: dict[str, Rgb] = {}
         self._has_cursor = False
         self._holds = span is not None
@@ -85,7 +91,7 @@ class Chart:
         self._small_for = 0
         self._plot: Any = None
         blank = [np.full(2, np.inf)] * (len(self._series()) - 1)
-        self._add((np.array([0.0, 1.0]), *blank), None)
+        self._add((np.array([1.0, 2.0]), *blank), None)
 
     def draw(
         self,
@@ -119,7 +125,7 @@ class Chart:
             for name, curve in zip(names, curves, strict=True)
         ]
         same = self._has_cursor == (cursor is not None) and self._more == more
-        fits = self._fit(np.concatenate(columns)) and same
+        fits = all((self._fit(np.concatenate(columns)), self._fit_steps(x), same))
         if self._logarithmic:  # uPlot clamps NaN to the floor there, and leaves out infinity
             columns = [np.where(np.isnan(c), np.inf, c) for c in columns]
         if cursor is not None:
@@ -150,6 +156,16 @@ class Chart:
             return True
         self._span, self._small_for = wanted, 0
         return False
+
+    def _fit_steps(self, x: Array) -> bool:
+        """Whether the steps fit a logarithmic axis, the latest few powers of ten; likewise."""
+        if self._decades is None:
+            return True
+        high = max(1, math.ceil(math.log10(x[-1])))
+        low = min(high - 1, max(high - MOST_DECADES, math.floor(math.log10(x[0]))))
+        wanted = 10.0**low, 10.0**high
+        fits, self._decades = self._decades == wanted, wanted
+        return fits
 
     def _series(self) -> tuple[uplot.Series, ...]:
         """The axis, the curves, the cursor if there is one, and last the marks."""
@@ -189,13 +205,20 @@ class Chart:
         y: dict[str, Any] = {"auto": False, "range": self._span}
         if self._logarithmic:
             y["distr"] = 3
-        scales: Any = {"x": {"time": False}, "y": y, "m": {"auto": False, "range": (0.0, 1.0)}}
+        x: dict[str, Any] = {"time": False}
+        if self._decades is not None:
+            x |= {"distr": 3, "auto": False, "range": self._decades}
+        scales: Any = {"x": x, "y": y, "m": {"auto": False, "range": (0.0, 1.0)}}
         with self._container:
             self._plot = self._gui.add_uplot(
                 data, self._series(), title=self._title, bands=self._bands(), scales=scales,
                 height=self._height,
                 legend={"show": self._legend, "live": False},
-                axes=({"size": 38, "space": 90}, {"size": 62}), padding=(8, 24, 0, 0),
+                axes=(
+                    {"size": 38, "space": 90, "ticks": {"show": self._decades is None}},
+                    {"size": 62, "ticks": {"show": not self._logarithmic}},
+                ),
+                padding=(8, 24 if self._decades is None else 34, 0, 0),
                 cursor={"show": False}, order=order,
             )  # fmt: skip
 

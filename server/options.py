@@ -154,8 +154,8 @@ def _add_learner(parser: argparse.ArgumentParser) -> None:
 def _add_task(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--task", metavar="T",
-        help="pendulum, sonar, synapse, prediction, filtering, or your own as path.py:Name "
-        f"(default {DEFAULT_TASK})",
+        help="pendulum, sonar, synapse, gradient, prediction, filtering, or your own as "
+        f"path.py:Name (default {DEFAULT_TASK})",
     )  # fmt: skip
     parser.add_argument("--preset", metavar="P", help="a setting of the task (default its first)")
     parser.add_argument(

@@ -17,6 +17,7 @@ import viser
 from server import camera, palette, words
 from server.commands import Probe, ShowBeginning
 from server.controls import Controls
+from server.estimate import knows_its_truth
 from server.inspector import Inspector
 from server.look import Looks, unit_names
 from server.palette import THEMES
@@ -30,6 +31,8 @@ from server.worker import Worker
 
 TEXT_SECONDS = 0.2
 """Words and numbers change no more often than this, so that they can be read."""
+COLUMN = 348
+"""Width of the panels with the charts."""
 NOTICE_SECONDS = 6.0
 CAMERA_SECONDS = 0.7
 """A page that has just opened is still going to its initial camera."""
@@ -107,19 +110,41 @@ class Page:
         self._build_controls(Widgets(gui, worker.send, self.notify), picture.seed)
         self._build_view(gui)
         self._health = gui.add_markdown("")
-        above, below = gui.add_panel(), gui.add_panel()
-        self._tabs = {
-            "run": above.add_tab("Learning", viser.Icon.CHART_LINE),
-            "reward": above.add_tab("Reward, rates", viser.Icon.ACTIVITY),
-            "now": below.add_tab("Spikes now", viser.Icon.BOLT),
-            "synapses": below.add_tab("Synapses", viser.Icon.GRID_DOTS),
-        }
-        above.dock_left()
-        above.set_width(348)
-        below.dock_below(above)
+        self._tabs = self._make_tabs(picture)
         self._rebuild(picture)
         server.on_client_connect(self._welcome)
         server.on_client_disconnect(self._disconnected)
+
+    def _make_tabs(self, picture: Picture) -> dict[str, Any]:
+        """Two panels beside the scene, and their tabs; first those of a truth that is known."""
+        above = {
+            "run": ("Learning", viser.Icon.CHART_LINE),
+            "reward": ("Reward, rates", viser.Icon.ACTIVITY),
+        }
+        below = {
+            "now": ("Spikes now", viser.Icon.BOLT),
+            "synapses": ("Synapses", viser.Icon.GRID_DOTS),
+        }
+        if knows_its_truth(picture.task):
+            above = {"gradient": ("Gradient", viser.Icon.COMPASS)} | above
+            below = {"angle": ("Angle", viser.Icon.ANGLE)} | below
+        upper, lower = self._beside = self._server.gui.add_panel(), self._server.gui.add_panel()
+        made = {
+            key: panel.add_tab(*tab)
+            for panel, tabs in ((upper, above), (lower, below))
+            for key, tab in tabs.items()
+        }
+        upper.dock_left()
+        upper.set_width(COLUMN)
+        lower.dock_below(upper)
+        return made
+
+    def _remake_tabs(self, picture: Picture) -> None:
+        """With or without the tabs of a truth, whichever the task asks for."""
+        if ("gradient" in self._tabs) != knows_its_truth(picture.task):
+            for panel in self._beside:
+                panel.remove()
+            self._tabs = self._make_tabs(picture)
 
     def _build_controls(self, widgets: Widgets, seed: int) -> None:
         controls = self._controls = Controls(widgets, seed)
@@ -147,6 +172,7 @@ class Page:
         for part in (self._stage, self._other_stage, self._panels):
             if part is not None:
                 part.remove()
+        self._remake_tabs(picture)
         task, topology, theme = picture.task, picture.live.topology, self._theme
         self._names = unit_names(topology, tuple(i.name for i in task.inputs))
         self._looks, self._other_stage = Looks(topology, theme), None

@@ -12,6 +12,7 @@ from hebbviz.rules import Rule
 from hebbviz.topology import Topology
 from server import palette, words
 from server.charts import Chart, Points
+from server.gradient_panel import GradientPanel
 from server.images import heat_map, raster
 from server.learning import Learning, cursor, marks, others, since
 from server.look import Scale, neuron_names
@@ -40,6 +41,9 @@ class Panels:
         self._handles: list[Any] = []
         self._turn = 0
         self._tabs = tabs
+        self._gradient: GradientPanel | None = None
+        if "gradient" in tabs:
+            self._gradient = self._hold(GradientPanel(gui, tabs, picture, theme))
         self._learning = self._hold(Learning(gui, tabs["run"], picture, theme))
         self._build_reward(gui, picture.live.rule)
         self._build_now(gui)
@@ -50,6 +54,7 @@ class Panels:
             self._draw_rates, self._draw_maps,
             *((self._draw_synapse,) if self._synapse_chart is not None else ()),
             *((self._draw_kept,) if self._kept_chart is not None else ()),
+            *((self._gradient.draw,) if self._gradient is not None else ()),
         )  # fmt: skip
 
     def remove(self) -> None:

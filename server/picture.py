@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from hebbviz.moments import Block, Frame
 from hebbviz.task import Task
 from server.commands import Logged, Speed
+from server.estimate import Estimate
 from server.evaluation import Evaluation
 from server.history import Curve, Curves
 from server.player import Check
@@ -72,6 +73,7 @@ class Picture:
     watch_speed: float
     undo_words: str | None
     evaluations: tuple[Evaluation, ...]
+    estimate: Estimate | None
     run_number: int
     error: str | None
     first: int

@@ -17,7 +17,7 @@ from hebbviz.rules import make_rule
 from hebbviz.task import Tally, Task
 from server.commands import Change, Choose, Logged, Reset
 from server.history import Curve, History, Totals, usual_window
-from server.recording.thinning import Plan
+from server.recording.thinning import MOST_APART, Plan
 from server.tape import MOST_BYTES, Moment, Tape
 
 MOST_UNDOS = 100
@@ -27,13 +27,15 @@ MOST_UNDO_BYTES = 256_000_000
 MakeTask = Callable[[str, str | None], Task]
 
 
-class Follower(Protocol):
-    """What is told of a run as it goes on: a recorder. Blocks, frames and edges are those of the
-    watched lane; where another is chosen, that is a leap.
+class Follower:
+    """What is told of a run as it goes on, such as a recorder; each of these may be left out.
+
+    Blocks, frames and edges are those of the watched lane; where another is chosen, that is a leap.
     """
 
     def plan(self, run: Run) -> Plan:
         """Until which step to run at most, and whether every step until there is to be told."""
+        return Plan(run.learner.step + MOST_APART, keep=False, every=0)
 
     def block(self, run: Run, block: Block) -> None:
         """Steps that were just made."""
@@ -293,7 +295,9 @@ class Replay:
 
 def _new_history(learner: Learner) -> History:
     task = learner.task
-    window = 1 if task.natural_speed is not None else usual_window(task)
+    window, speed = usual_window(task), task.natural_speed
+    if speed is not None:  # each step of a task that opens slowly, else a tenth of a second
+        window = min(window, max(1, round(speed / 10.0)))
     return History(window, Totals.of(learner))
 
 

@@ -55,6 +55,7 @@ from server.commands import (
     Undo,
     WatchLane,
 )
+from server.estimate import Estimating
 from server.evaluation import Evaluator, evaluates_by_itself
 from server.fork import Difference, Fork
 from server.history import Totals
@@ -103,6 +104,8 @@ class Worker(threading.Thread):
         self._stopping = threading.Event()
         self._watch = Watch()
         self._evaluator = Evaluator(run.make_task, on_notice)
+        self._estimating = Estimating()
+        run.followers.append(self._estimating)
         self._paused = False
         self._speed: Speed = MAX
         self._owed = 0.0
@@ -502,6 +505,7 @@ class Worker(threading.Thread):
             watch_speed=self._watch.speed,
             undo_words=self._run.undo_words,
             evaluations=self._evaluator.results(),
+            estimate=self._estimating.estimate,
             run_number=self._run_number,
             error=self._error,
             first=self._run.tape.first,

@@ -10,6 +10,7 @@ TASKS = {
     "pendulum": "Pendulum",
     "sonar": "Sonar",
     "synapse": "Synapse",
+    "gradient": "Gradient",
     "prediction": "Prediction",
     "filtering": "Filtering",
 }

@@ -1,6 +1,7 @@
 """Pictures of the page, made by a real browser.
 
-python tests/screenshots.py                # docs/page.png and docs/recording.png, for the README
+python tests/screenshots.py                # docs/page.png, gradient.png and recording.png
+python tests/screenshots.py --only gradient
 python tests/screenshots.py --all FOLDER   # each task, light and dark, wide and narrow
 """
 
@@ -25,7 +26,7 @@ from raw_client import wait_until  # noqa: E402
 
 from hebbviz.learner import Learner  # noqa: E402
 from server.app import Site  # noqa: E402
-from server.commands import Choose, Command, Pause, Press  # noqa: E402
+from server.commands import Choose, Command, Pause, Press, Reset, SetBeta  # noqa: E402
 from server.picture import Picture  # noqa: E402
 from server.recording.recordings import Options  # noqa: E402
 from server.recording.viewer import Viewer  # noqa: E402
@@ -34,10 +35,14 @@ from server.worker import Worker  # noqa: E402
 from sims import TASKS  # noqa: E402
 from sims.loading import make_task  # noqa: E402
 
-PAGE, RECORDING = ROOT / "docs" / "page.png", ROOT / "docs" / "recording.png"
+DOCS = ROOT / "docs"
 WIDE, NARROW = (1600, 900), (390, 844)
 LEARNING_SECONDS = 25.0
 """After so long the pendulum mostly stands, and its curve has a shape."""
+GRADIENT_PLAN: tuple[tuple[int, Command], ...] = (
+    (0, SetBeta(0.0)), (120_000, SetBeta(0.8)), (600_000, Pause(paused=True)),
+)  # fmt: skip
+"""Commands, each at about a step."""
 RECORDED_STEPS = 120_000
 VIEWER_SECONDS = 20.0
 """rerun's web viewer takes so long to load a recording without a graphics card."""
@@ -105,7 +110,21 @@ def make_page_picture() -> None:
         tidy(page)
         page.wait_for_timeout(max(0.0, 1000 * (LEARNING_SECONDS - time.monotonic() + began)))
         wait_for_a_clear_moment(worker)
-        shoot(page, PAGE)
+        shoot(page, DOCS / "page.png")
+
+
+def make_gradient_picture() -> None:
+    """The exact gradient beside the rule's estimate, at β 0 first and then at β 0.8."""
+    with serving("gradient") as (address, worker), open_browser() as browser:
+        page = load(browser, address, width=WIDE[0], height=WIDE[1], sharpness=1.0)
+        worker.send(Reset())
+        wait_until(lambda: picture(worker).live.step < GRADIENT_PLAN[1][0], 20.0)
+        for steps, command in GRADIENT_PLAN:
+            wait_until(lambda steps=steps: picture(worker).live.step >= steps, 180.0)
+            worker.send(command)
+        tidy(page)
+        page.wait_for_timeout(1000 * DRAWN_SECONDS)
+        shoot(page, DOCS / "gradient.png")
 
 
 def make_recording_picture() -> None:
@@ -131,7 +150,7 @@ def make_recording_picture() -> None:
             page.mouse.click(*TIME_LINE)  # the viewer is a canvas: its time line has no name
             page.keyboard.press("Space")
             page.wait_for_timeout(1000 * VIEWER_SECONDS)
-            shoot(page, RECORDING)
+            shoot(page, DOCS / "recording.png")
         finally:
             stop.set()
             thread.join(10.0)
@@ -168,15 +187,22 @@ def set_theme(page: Page, theme: str) -> None:
     page.locator("canvas").first.wait_for()
 
 
+PICTURES = {
+    "page": make_page_picture, "gradient": make_gradient_picture,
+    "recording": make_recording_picture,
+}  # fmt: skip
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Make pictures of the page.")
     parser.add_argument("--all", type=Path, metavar="FOLDER", help="each task, theme and width")
-    folder: Path | None = parser.parse_args().all
-    if folder is not None:
-        make_all(folder)
+    parser.add_argument("--only", choices=PICTURES, help="only this one of the README's")
+    args = parser.parse_args()
+    if args.all is not None:
+        make_all(args.all)
         return
-    make_page_picture()
-    make_recording_picture()
+    for name in PICTURES if args.only is None else (args.only,):
+        PICTURES[name]()
 
 
 if __name__ == "__main__":

@@ -37,7 +37,16 @@ from hebbviz.learner import Learner
 from hebbviz.rules.baseline import Baseline
 from hebbviz.rules.paper import PAPER
 from server.app import Site
-from server.commands import Choose, Pause, Reset, SetBeta, SetSpeed, SetWatch
+from server.commands import (
+    Choose,
+    Freeze,
+    Pause,
+    Reset,
+    SetBeta,
+    SetSpeed,
+    SetWatch,
+    StepOnce,
+)
 from server.look import network_at, place
 from server.picture import Picture
 from server.worker import Worker
@@ -359,6 +368,34 @@ def test_a_small_task_tells_what_is_asked_and_answered(
     choose(page, "task", task)
     eventually(page, lambda: live.picture.task_name == task)
     eventually(page, lambda: re.search(words, text_of(page)))
+
+
+def angle_shown(page: Page) -> float | None:
+    """The angle between the true gradient and the estimate, in degrees."""
+    found = re.search(r"^(\d+\.\d)°$", text_of(page), re.MULTILINE)
+    return None if found is None else float(found[1])
+
+
+def test_the_estimate_goes_to_the_true_gradient(page: Page, live: Live) -> None:
+    """Large after few steps, small after many; at β = 0 the hidden layer gets no estimate."""
+    send(live, Choose("gradient", "still"), Pause(paused=True), StepOnce(100))
+    eventually(page, lambda: "mean of 100 steps" in text_of(page))
+    expect(page.get_by_role("tab", name="Gradient", exact=True)).to_be_visible()
+    first = angle_shown(page)
+    assert first is not None and first > 30.0
+    send(live, SetSpeed("max"), Pause(paused=False))
+    eventually(page, lambda: (angle_shown(page) or 180.0) < 12.0)
+    assert "the bias of β 0.8" in text_of(page)
+    for synapse in ("left lamp → hidden 1", "hidden 3 → output"):
+        expect(page.get_by_text(synapse, exact=True).first).to_be_visible()
+    send(live, SetBeta(0.0))
+    eventually(page, lambda: 42.0 < (angle_shown(page) or 0.0) < 47.0)
+    eventually(page, lambda: "The hidden layer is starved" in text_of(page))
+    eventually(page, lambda: "before, β 0.8" in text_of(page))
+    send(live, Freeze(frozen=True))
+    eventually(page, lambda: "no estimate" in text_of(page))
+    send(live, Choose("pendulum", "quick"))
+    expect(page.get_by_role("tab", name="Gradient", exact=True)).to_have_count(0)
 
 
 # Tabs and picks

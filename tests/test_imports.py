@@ -50,7 +50,7 @@ def test_hebbviz_alone_brings_in_no_world_and_no_page():
 
 def test_the_tasks_bring_in_no_page():
     names = ["sims.loading", "sims.pendulum", "sims.sonar", "sims.synapse", "sims.prediction",
-             "sims.filtering"]  # fmt: skip
+             "sims.filtering", "sims.gradient"]  # fmt: skip
     loaded = _loaded(names)
     assert loaded & FORBIDDEN["sims"] == set()
     assert {"hebbviz", "pymunk"} <= loaded

@@ -17,13 +17,13 @@ from server.recording.header import Header, check_recordable, machine, versions
 from server.recording.status import Status
 from server.recording.take import CLOSE_SECONDS, Take
 from server.recording.targets import Target
-from server.recording.thinning import MOST_APART, Plan
-from server.run import Run
+from server.recording.thinning import Plan
+from server.run import Follower, Run
 from server.tape import Moment
 from server.terminal import reason
 
 
-class Recorder:
+class Recorder(Follower):
     """Records a run to a target, from now on.
 
     `budget` is in bytes a minute, see `thinning`; `on_notice` is told when it has to stop, after
@@ -54,7 +54,7 @@ class Recorder:
         """Until which step to run at most, and whether every step until there is kept."""
         take = self._take(run)
         if take is None or take.error is not None:
-            return Plan(run.learner.step + MOST_APART, keep=False, every=0)
+            return super().plan(run)
         return take.plan(run.learner.step)
 
     def block(self, run: Run, block: Block) -> None:
