@@ -23,10 +23,13 @@ enum { INPUTS = 60, HIDDEN = 8, NEURONS = HIDDEN + 1, LANES = 64, HOLD = 1000 };
 
 #if defined(__AVX512F__)
 #define BYTES 64
+#define OF_VECTOR(name) _mm512_##name
 #elif defined(__AVX2__)
 #define BYTES 32
+#define OF_VECTOR(name) _mm256_##name
 #else
 #define BYTES 16
+#define OF_VECTOR(name) _mm_##name
 #endif
 #define VECTOR __attribute__((vector_size(BYTES)))
 #define INLINE static inline __attribute__((always_inline))
@@ -34,14 +37,17 @@ enum { INPUTS = 60, HIDDEN = 8, NEURONS = HIDDEN + 1, LANES = 64, HOLD = 1000 };
 #if REAL_BYTES == 4
 typedef float REAL;
 typedef int32_t Integer;
+#define OF_REALS(name) OF_VECTOR(name##_ps)
 #else
 typedef double REAL;
 typedef int64_t Integer;
+#define OF_REALS(name) OF_VECTOR(name##_pd)
 #endif
 
 typedef REAL Real VECTOR;
 typedef Integer Integers VECTOR; /* of the size of a REAL; comparisons give 0 or -1 */
 typedef uint64_t Words VECTOR;
+typedef long long Whole VECTOR; /* as the intrinsics want it */
 enum {
     WIDTH = BYTES / sizeof(REAL),  /* lanes in a vector */
     GROUPS = LANES / WIDTH,        /* vectors in a tile */
@@ -77,12 +83,8 @@ typedef struct {
 
 INLINE Words product(Words a, uint64_t m)
 {
-#if defined(__AVX512F__)
-    return (Words)_mm512_mul_epu32((__m512i)a, _mm512_set1_epi64(m));
-#elif defined(__AVX2__)
-    return (Words)_mm256_mul_epu32((__m256i)a, _mm256_set1_epi64x(m));
-#elif defined(__SSE2__)
-    return (Words)_mm_mul_epu32((__m128i)a, _mm_set1_epi64x(m));
+#ifdef __SSE2__
+    return (Words)OF_VECTOR(mul_epu32)((Whole)a, (Whole)((Words){} + m));
 #else
     return (a & LOW_HALF) * m;
 #endif
@@ -126,8 +128,12 @@ INLINE Real either(Integers is, Real a, Real b)
 
 INLINE Real between(REAL least, Real a, REAL most)
 {
+#ifdef __SSE2__
+    return OF_REALS(max)(OF_REALS(min)(a, all(most)), all(least));
+#else
     a = either(a < most, a, all(most));
     return either(a > least, a, all(least));
+#endif
 }
 
 /* 1/(1 + e^-v): in float by a rational function of v/2 for tanh, in double by the series of e. */
