@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 MOST_STEPS = 10**12
 
-_NUMERIC = ("--beta", "--gamma", "--seed", "--speed", "--port", "--steps", "--stream")
+_NUMERIC = ("--beta", "--gamma", "--seed", "--speed", "--port", "--steps", "--stream", "--seconds")
 
 EPILOG = "The rule, the presets and how to write a task of your own are in the README."
 
@@ -69,7 +69,9 @@ def _parser() -> _Parser:
     commands = parser.add_subparsers(
         dest="command", metavar="COMMAND", required=True, parser_class=_Parser
     )
-    for add in (_add_serve, _add_train, _add_replay, _add_view, _add_inspect, _add_export):
+    for add in (
+        _add_serve, _add_train, _add_replay, _add_view, _add_inspect, _add_export, _add_bench,
+    ):  # fmt: skip
         add(commands)
     return parser
 
@@ -165,6 +167,16 @@ def _number(name: str) -> Callable[[str], float]:
     return parse
 
 
+def _positive(name: str) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        with contextlib.suppress(ValueError):
+            if math.isfinite(float(text)) and float(text) > 0.0:
+                return float(text)
+        raise argparse.ArgumentTypeError(f"{name} must be a number above 0, got {text!r}")
+
+    return parse
+
+
 def _speed(text: str) -> Speed:
     if text in ("realtime", "max"):
         return text
@@ -243,6 +255,22 @@ def _add_export(commands: Any) -> None:
         "--every-step", type=_steps, metavar="FROM:TO",
         help="make these steps again, and write all that the network did in each of them",
     )  # fmt: skip
+
+
+def _add_bench(commands: Any) -> None:
+    bench = commands.add_parser(
+        "bench",
+        help="measure how fast this machine runs networks",
+        description="Measure how fast this machine runs networks: the NumPy reference, the "
+        "compiled rule with one lane, with many, and on all cores; the pendulum in pymunk and "
+        "compiled. They take turns, and the best turn of each counts.",
+        allow_abbrev=False,
+    )
+    bench.add_argument(
+        "--seconds", type=_positive("seconds"), default=20.0, metavar="S",
+        help="how long to measure, in all (default %(default)g)",
+    )  # fmt: skip
+    bench.add_argument("--json", action="store_true", help="print the figures as one line of JSON")
 
 
 def _add_recorded(parser: argparse.ArgumentParser) -> None:
