@@ -1,5 +1,5 @@
 """The command line: `hebbviz` opens the page, `hebbviz train` learns without one, and what was
-recorded is replayed, viewed, inspected and exported.
+recorded is replayed, viewed, inspected and exported; `hebbviz bench` measures speeds.
 
 Exit codes: 0 fine; 2 for what the user gave and can mend, said in one line on stderr; 1 for any
 other failure; 130 and 143 for a training that Ctrl-C or SIGTERM ended. A recording that had to
@@ -188,6 +188,17 @@ def export(args: argparse.Namespace) -> int:
     return FINE
 
 
+def bench(args: argparse.Namespace) -> int:
+    """Measure speeds."""
+    from server.bench import contestants, figures, race, table
+    from server.train import announced_compiling
+
+    with announced_compiling(lambda: tell("compiling for this machine, only this first time")):
+        speeds = race(contestants(), args.seconds)
+    say(json.dumps(figures(speeds), allow_nan=False) if args.json else table(speeds))
+    return FINE
+
+
 def _recording(args: argparse.Namespace) -> Options:
     from server.recording.recordings import Options
 
@@ -355,7 +366,7 @@ def _experiment(
 
 
 COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
-    c.__name__: c for c in (serve, train, replay, view, inspect, export, figure, sweep)
+    c.__name__: c for c in (serve, train, replay, view, inspect, export, figure, sweep, bench)
 }
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 MOST_STEPS = 10**12
 
 _NUMERIC = ("--beta", "--gamma", "--fall", "--seed", "--speed", "--port", "--steps", "--stream",
-            "--epochs", "--hours", "--lanes")  # fmt: skip
+            "--epochs", "--hours", "--lanes", "--seconds")  # fmt: skip
 
 EPILOG = "The rule, the presets and how to write a task of your own are in the README."
 
@@ -72,7 +72,7 @@ def _parser() -> _Parser:
         dest="command", metavar="COMMAND", required=True, parser_class=_Parser
     )
     for add in (_add_serve, _add_train, _add_replay, _add_view, _add_inspect, _add_export,
-                _add_figure, _add_sweep):  # fmt: skip
+                _add_figure, _add_sweep, _add_bench):  # fmt: skip
         add(commands)
     return parser
 
@@ -192,11 +192,14 @@ def _fall(text: str) -> float:
     raise argparse.ArgumentTypeError(f"fall must be a number of steps or never, got {text!r}")
 
 
-def _hours(text: str) -> float:
-    hours = _number("hours")(text)
-    if hours <= 0.0:
-        raise argparse.ArgumentTypeError(f"hours must be above 0, got {text!r}")
-    return hours
+def _positive(name: str) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        with contextlib.suppress(ValueError):
+            if math.isfinite(float(text)) and float(text) > 0.0:
+                return float(text)
+        raise argparse.ArgumentTypeError(f"{name} must be a number above 0, got {text!r}")
+
+    return parse
 
 
 def _speed(text: str) -> Speed:
@@ -380,7 +383,7 @@ def _add_length(parser: argparse.ArgumentParser, *, default: str = "the figure's
         help="length of each run, for tasks with a training set",
     )  # fmt: skip
     length.add_argument(
-        "--hours", type=_hours, metavar="H",
+        "--hours", type=_positive("hours"), metavar="H",
         help="length of each run in simulated hours, for tasks with a time step",
     )  # fmt: skip
     length.add_argument(
@@ -394,6 +397,22 @@ def _add_scheduler(parser: argparse.ArgumentParser) -> None:
         "--scheduler", metavar="ADDRESS",
         help="run it on the workers of a Dask scheduler, as tcp://HOST:PORT (default all cores)",
     )  # fmt: skip
+
+
+def _add_bench(commands: Any) -> None:
+    bench = commands.add_parser(
+        "bench",
+        help="measure how fast this machine runs networks",
+        description="Measure how fast this machine runs networks: the NumPy reference, the "
+        "compiled rule with one lane, with many, and on all cores; the pendulum in pymunk and "
+        "compiled. They take turns, and the best turn of each counts.",
+        allow_abbrev=False,
+    )
+    bench.add_argument(
+        "--seconds", type=_positive("seconds"), default=20.0, metavar="S",
+        help="how long to measure, in all (default %(default)g)",
+    )  # fmt: skip
+    bench.add_argument("--json", action="store_true", help="print the figures as one line of JSON")
 
 
 def _add_recorded(parser: argparse.ArgumentParser) -> None:
