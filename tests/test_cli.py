@@ -298,6 +298,7 @@ OWN_FIGURES = {
     "pendulum": {"mean_time_to_fall_s"},
     "sonar": {"training_error", "test_error"},
     "synapse": set(),
+    "gradient": {"average_reward"},
     "prediction": {"right", "baseline", "best", "same_as_now", "most_frequent"},
     "filtering": {"right", "baseline", "best"},
 }

@@ -9,9 +9,17 @@ import pytest
 
 from hebbviz.learner import Learner
 from hebbviz.truth import GradientTruth, angle_between
-from server.commands import Freeze, GiveReward, Reset, SetBeta, SetGamma
-from server.estimate import LEAST_POINTS, STAYED, Estimate, Estimating, truth_of
+from server.commands import Freeze, GiveReward, Reset, SetBeta, SetFall, SetGamma, SetRule
+from server.estimate import (
+    LEAST_POINTS,
+    STAYED,
+    Estimate,
+    Estimating,
+    knows_its_truth,
+    truth_of,
+)
 from server.run import Run
+from sims import TASKS
 from sims.gradient import Gradient
 from sims.lamps import Lamps, small_example
 from sims.loading import make_task
@@ -83,6 +91,13 @@ def test_where_there_is_no_truth_it_says_why():
     lost = Learner(Gradient())
     lost.set_weights(np.full((9, 1), np.nan))
     assert "must be finite" in truth_of(lost.task, lost.frame())
+
+
+def test_tabs_are_for_tasks_whose_own_network_has_a_truth():
+    has = {name for name in TASKS if knows_its_truth(make_task(name))}
+    assert has == {"gradient"}
+    large = Learner(make_task("prediction"))
+    assert "take fewer neurons" in truth_of(large.task, large.frame())
 
 
 # The estimate
@@ -180,6 +195,30 @@ def test_frozen_weights_tell_nothing():
     run.change(Freeze(frozen=False))
     go_on(run, 700)
     assert known(estimating).since == 700
+
+
+@pytest.mark.parametrize("change", [SetRule("baseline"), SetFall(1e6)], ids=["rule", "fall"])
+def test_under_another_rule_or_gamma_that_falls_the_weights_tell_no_mean(change):
+    run, estimating = followed()
+    go_on(run, 1_000)
+    run.change(change)
+    go_on(run, 1_000)
+    assert estimating.estimate is None
+
+
+def test_another_lane_begins_anew():
+    run, estimating = followed(lanes=3)
+    go_on(run, 20_000, pictures=60)
+    run.change(SetBeta(0.9))
+    go_on(run, 1_000)
+    before = run.learner.weights[:, 2]
+    run.look_at(2)
+    assert estimating.estimate is None
+    go_on(run, 600)
+    estimate = known(estimating)
+    moved = run.learner.weights[:, 2] - before
+    np.testing.assert_array_equal(estimate.mean, moved / (run.learner.gamma * 600))
+    assert (estimate.since, estimate.earlier) == (600, ())
 
 
 def test_undo_reset_and_taking_over_begin_anew():

@@ -22,6 +22,7 @@ from server.commands import Reset, SetBeta, SetFall, SetRule
 from server.fork import KINDS, Difference, Fork
 from server.recording.reader import open_recording
 from server.recording.recorder import Recorder
+from server.recording.recordings import Options, Recordings
 from server.recording.targets import FileTarget
 from server.run import Run
 from sims.lamps import Lamps, small_example
@@ -421,3 +422,22 @@ def test_a_recording_holds_the_rule(tmp_path):
         replay = again.replay(before, until=after)
         replay.go_to(after.step)
         assert replay.learner.keyframe().digest() == after.keyframe.digest()
+
+
+def test_where_lanes_touch_each_other_none_is_recorded(tmp_path):
+    """Refused at the start; a rule that would make it so later is refused while it goes on."""
+    notices = []
+    recordings = Recordings(new_run(lanes=2, rule=Yoked()), Options(), on_notice=notices.append)
+    with pytest.raises(ValueError, match=r"^a recording holds one lane, which under rule yoked "):
+        recordings.start(tmp_path / "yoked.rrd")
+    assert not list(tmp_path.iterdir())
+    run = new_run(lanes=2)
+    recordings = Recordings(run, Options(), on_notice=notices.append)
+    recordings.check_rule(Yoked())
+    recordings.start(tmp_path / "paper.rrd")
+    recordings.check_rule(Baseline())
+    with pytest.raises(ValueError, match="under rule yoked"):
+        recordings.check_rule(Yoked())
+    recordings.stop()
+    recordings.check_rule(Yoked())
+    assert not notices
