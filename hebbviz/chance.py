@@ -8,10 +8,14 @@ of cuRAND, PyTorch and TensorFlow; its published test vectors are in the tests.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numba import types
+from numba.extending import overload
 from numpy.typing import NDArray
 
-from hebbviz.compiled import compiled, inlined
+from hebbviz.compiled import INLINED, compiled, inlined
 
 SPIKES, WORLD, INITIAL_WEIGHTS, FIRST_EPISODE, NEXT_EPISODE = 0, 1, 2, 3, 4
 """Purposes: one independent stream each."""
@@ -19,36 +23,93 @@ SPIKES, WORLD, INITIAL_WEIGHTS, FIRST_EPISODE, NEXT_EPISODE = 0, 1, 2, 3, 4
 LARGEST_SEED = 2**32 - 1
 
 _M0, _M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
-_W0, _W1 = np.uint32(0x9E3779B9), np.uint32(0xBB67AE85)
+_W0, _W1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 _MASK, _32 = np.uint64(0xFFFFFFFF), np.uint64(32)
 _ROUNDS = 10
 _UNIT = 2.0**-32
+_8, _UNIT_32 = np.uint32(8), np.float32(2.0**-24)
+
+
+# Each word lives in the low half of 64 bits, which a vector multiply takes and gives; what is in
+# the high half is nobody's business until the end.
+
+
+@inlined
+def _round(c0, c1, c2, c3, k0, k1):  # type: ignore[no-untyped-def]
+    p0 = (c0 & _MASK) * _M0
+    p1 = (c2 & _MASK) * _M1
+    return (p1 >> _32) ^ c1 ^ k0, p1, (p0 >> _32) ^ c3 ^ k1, p0
 
 
 @inlined
 def philox(c0, c1, c2, c3, k0, k1):  # type: ignore[no-untyped-def]  # compiled: uint32 in and out
     """Four random 32-bit words from a counter of four words and a key of two."""
-    c0, c1, c2, c3 = np.uint32(c0), np.uint32(c1), np.uint32(c2), np.uint32(c3)
-    k0, k1 = np.uint32(k0), np.uint32(k1)
+    c0, c1, c2, c3 = np.uint64(c0), np.uint64(c1), np.uint64(c2), np.uint64(c3)
+    k0, k1 = np.uint64(k0), np.uint64(k1)
     for _ in range(_ROUNDS):
-        p0 = np.uint64(c0) * _M0
-        p1 = np.uint64(c2) * _M1
-        c0 = np.uint32(p1 >> _32) ^ c1 ^ k0
-        c2 = np.uint32(p0 >> _32) ^ c3 ^ k1
-        c1 = np.uint32(p1 & _MASK)
-        c3 = np.uint32(p0 & _MASK)
-        k0 = np.uint32(k0 + _W0)
-        k1 = np.uint32(k1 + _W1)
-    return c0, c1, c2, c3
+        c0, c1, c2, c3 = _round(c0, c1, c2, c3, k0, k1)
+        k0 += _W0
+        k1 += _W1
+    return np.uint32(c0), np.uint32(c1), np.uint32(c2), np.uint32(c3)
+
+
+@inlined
+def four_words(seed, lane, purpose, step, block):  # type: ignore[no-untyped-def]
+    """Draws 4·block to 4·block + 3 of that step, as 32-bit words."""
+    low, high = np.uint64(step) & _MASK, np.uint64(step) >> _32
+    return philox(block, low, high, purpose, seed, lane)
+
+
+@inlined
+def eight_words(seed, lane, purpose, step, block):  # type: ignore[no-untyped-def]
+    """Those of a block and of the one after it, four and four.
+
+    Two calls of `philox` side by side: neither waits for the other.
+    """
+    low, high = np.uint64(step) & _MASK, np.uint64(step) >> _32
+    k0, k1 = np.uint64(seed), np.uint64(lane)
+    a0, a1, a2, a3 = np.uint64(block), low, high, np.uint64(purpose)
+    b0, b1, b2, b3 = np.uint64(block + 1), low, high, np.uint64(purpose)
+    for _ in range(_ROUNDS):
+        a0, a1, a2, a3 = _round(a0, a1, a2, a3, k0, k1)
+        b0, b1, b2, b3 = _round(b0, b1, b2, b3, k0, k1)
+        k0 += _W0
+        k1 += _W1
+    return (
+        (np.uint32(a0), np.uint32(a1), np.uint32(a2), np.uint32(a3)),
+        (np.uint32(b0), np.uint32(b1), np.uint32(b2), np.uint32(b3)),
+    )
+
+
+@inlined
+def unit64(word):  # type: ignore[no-untyped-def]
+    """A word as a number in (0, 1)."""
+    return (word + 0.5) * _UNIT
+
+
+@inlined
+def unit32(word):  # type: ignore[no-untyped-def]
+    """The upper 24 bits of a word as a number in [0, 1), which float32 holds exactly."""
+    return np.float32(np.int32(word >> _8)) * _UNIT_32
+
+
+def unit(word: Any, like: Any) -> Any:
+    """A word as a number between 0 and 1 in the type of `like`."""
+    raise NotImplementedError("unit is for compiled code")
+
+
+@overload(unit, jit_options=INLINED)
+def _unit_for(word, like):  # type: ignore[no-untyped-def]
+    if like == types.float32:
+        return lambda word, like: unit32(word)
+    return lambda word, like: unit64(word)
 
 
 @inlined
 def four_uniforms(seed, lane, purpose, step, block):  # type: ignore[no-untyped-def]
     """Four numbers in (0, 1): draws 4·block to 4·block + 3 of that step."""
-    low = np.uint32(np.uint64(step) & _MASK)
-    high = np.uint32(np.uint64(step) >> _32)
-    a, b, c, d = philox(block, low, high, purpose, seed, lane)
-    return (a + 0.5) * _UNIT, (b + 0.5) * _UNIT, (c + 0.5) * _UNIT, (d + 0.5) * _UNIT
+    a, b, c, d = four_words(seed, lane, purpose, step, block)
+    return unit64(a), unit64(b), unit64(c), unit64(d)
 
 
 @compiled

@@ -12,13 +12,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from numba import njit
+from numba import njit, types
+from numba.extending import intrinsic
 
-_KERNELS = ("compiled.py", "chance.py", "layout.py", "rule.py", "engine.py")
+_KERNELS = (
+    "compiled.py", "chance.py", "squashing.py", "layout.py", "rule.py", "engine.py",
+)  # fmt: skip
 _HERE = Path(__file__).parent
 _STAMP = tuple(zlib.crc32((_HERE / name).read_bytes()) for name in _KERNELS)
 
-inlined = njit(forceinline=True, error_model="numpy")
+INLINED: Any = {"forceinline": True, "error_model": "numpy"}
+inlined: Any = njit(**INLINED)
 """For a small function that only compiled functions call; cached as a part of them."""
 
 
@@ -27,3 +31,41 @@ def compiled(function: Callable[..., Any]) -> Any:
     dispatcher: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
     dispatcher._cache._cache_file._source_stamp = _STAMP  # noqa: SLF001
     return dispatcher
+
+
+_intrinsic: Any = intrinsic  # numba gives it a type that knows nothing of how it is called
+
+
+@_intrinsic
+def row(typing, state, index, width):  # type: ignore[no-untyped-def]
+    """Row `index` of a state (rows, width), for compiled code: a view, shape (width,).
+
+    Unchecked and uncounted. `width` is a constant where this is compiled; so the compiler sees
+    which rows are neighbours, and how many lanes a loop over a row has.
+    """
+    view = types.Array(state.dtype, 1, "C")
+
+    def code(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        whole = context.make_array(signature.args[0])(context, builder, args[0])
+        found = context.make_array(view)(context, builder)
+        size = context.get_constant(
+            types.intp, context.get_abi_sizeof(context.get_data_type(view.dtype))
+        )
+        first = builder.mul(args[1], args[2])
+        context.populate_array(
+            found, data=builder.gep(whole.data, [first], inbounds=True), shape=[args[2]],
+            strides=[size], itemsize=size, meminfo=None,
+        )  # fmt: skip
+        return found._getvalue()  # noqa: SLF001
+
+    return view(state, types.intp, types.intp), code
+
+
+@_intrinsic
+def fma(typing, a, b, c):  # type: ignore[no-untyped-def]
+    """a·b + c, rounded once, for compiled code."""
+
+    def code(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        return builder.fma(*args)
+
+    return a(a, a, a), code

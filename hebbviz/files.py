@@ -56,6 +56,7 @@ class Header:
     frozen: bool
     rule: Rule
     fall: float
+    dtype: str
 
 
 def save(learner: Learner, path: str | Path, *, task_name: str | None = None) -> Path:
@@ -79,6 +80,8 @@ def save(learner: Learner, path: str | Path, *, task_name: str | None = None) ->
         "step": keyframe.step,
         "frozen": keyframe.frozen,
     }
+    if learner.dtype != np.float64:
+        header["dtype"] = learner.dtype.__name__
     if not is_first:
         header |= {"rule": str(keyframe.rule), "fall": fall_to_json(keyframe.fall)}
     names = (*_ARRAYS, _MEMORY) if keyframe.rule.memory else _ARRAYS
@@ -98,7 +101,7 @@ def load(path: str | Path, make_task: Callable[[str, str], Task]) -> Learner:
     try:
         learner = Learner(
             task, topology=header.topology, seed=header.seed, lanes=header.lanes,
-            first_lane=header.first_lane,
+            first_lane=header.first_lane, dtype=header.dtype,
         )  # fmt: skip
         learner.restore(
             Keyframe(
@@ -189,5 +192,6 @@ def _header(path: Path, data: dict[str, Any]) -> Header:
         step=int(data["step"]),
         frozen=bool(data["frozen"]),
         rule=rule,
+        dtype=str(data.get("dtype", "float64")),
         fall=check_fall(fall_from_json(data.get("fall"))),
     )

@@ -23,13 +23,15 @@ def unfolded(layout: Layout, state: Array) -> tuple[Array, Array]:
     def section(name: str) -> Array:
         return layout.section(state, name)
 
-    weight, trace = section("weight").copy(), section("trace").copy()
+    weight, trace = section("weight"), section("trace")
+    activity, gain, decay = section("activity"), section("gain"), section("decay")
+    z_input, w_input = section("z_input"), section("w_input")
     for k, p, where, rows in _held(layout):
         post, pre = layout.topology.shape(p)
-        x = section("activity")[layout.topology.units_of(p.pre)]
+        x = activity[layout.topology.units_of(p.pre)]
         z0 = trace[where].reshape(post, pre, -1)
-        w = section("gain")[k] * z0 + section("w_input")[rows, None] * x
-        z = section("decay")[k] * z0 + section("z_input")[rows, None] * x
+        w = gain[k] * z0 + w_input[rows, None] * x
+        z = decay[k] * z0 + z_input[rows, None] * x
         weight[where] += w.reshape(post * pre, -1)
         trace[where] = z.reshape(post * pre, -1)
     return weight, trace
@@ -38,25 +40,27 @@ def unfolded(layout: Layout, state: Array) -> tuple[Array, Array]:
 def refold(layout: Layout, state: Array) -> None:
     """Start the sums anew from weights and traces that were set."""
     for name, value in (("decay", 1.0), ("gain", 0.0), ("z_input", 0.0), ("w_input", 0.0)):
-        layout.section(state, name)[:] = value
-    for _, p, where, rows in _held(layout):
-        post, pre = layout.topology.shape(p)
-        x = layout.section(state, "activity")[layout.topology.units_of(p.pre)]
-        for drive, of in (("w_drive", "weight"), ("z_drive", "trace")):
-            synapses = layout.section(state, of)[where].reshape(post, pre, -1)
-            layout.section(state, drive)[rows] = (synapses * x).sum(axis=1)
+        layout.put(state, name, value)
+    activity = layout.section(state, "activity")
+    for drive, of in (("w_drive", "weight"), ("z_drive", "trace")):
+        drives, values = layout.section(state, drive), layout.section(state, of)
+        for _, p, where, rows in _held(layout):
+            post, pre = layout.topology.shape(p)
+            synapses = values[where].reshape(post, pre, -1)
+            drives[rows] = (synapses * activity[layout.topology.units_of(p.pre)]).sum(axis=1)
+        layout.put(state, drive, drives)
 
 
 def trace_rows(layout: Layout, synapse: int) -> tuple[int, int, int, int]:
     """Rows of the state that make up the z of a synapse: z₀, decay (or -1), z_input, x."""
-    starts, topology, first = layout.starts, layout.topology, 0
+    where, topology, first = layout.where, layout.topology, 0
     for k, p in enumerate(topology.projections):
-        where, (post, pre) = topology.synapses_of(k), topology.shape(p)
-        if where.start <= synapse < where.stop:
-            i, j = divmod(synapse - where.start, pre)
-            decay = starts["decay"] + k if topology.is_held(p) else -1
-            unit = starts["activity"] + topology.first_unit(p.pre) + j
-            return starts["trace"] + synapse, decay, starts["z_input"] + first + i, unit
+        synapses, (post, pre) = topology.synapses_of(k), topology.shape(p)
+        if synapses.start <= synapse < synapses.stop:
+            i, j = divmod(synapse - synapses.start, pre)
+            decay = int(where["decay"][k]) if topology.is_held(p) else -1
+            unit = where["activity"][topology.first_unit(p.pre) + j]
+            return int(where["trace"][synapse]), decay, int(where["z_input"][first + i]), int(unit)
         first += post
     raise ValueError(f"synapse must be below {topology.synapses}, got {synapse}")
 

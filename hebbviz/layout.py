@@ -1,14 +1,19 @@
-"""Where everything sits: one flat state array with named sections, the lane on the last axis.
+"""Where everything sits: one array of numbers per tile of lanes, (rows, width), the lane last.
 
-A learner's network is one float64 array of shape (rows, lanes). A single array is what makes the
-rest simple: a save is a copy, a keyframe is a copy, and a compiled function gets one pointer.
-Sections are cut out by name (`Layout.section`), and compiled code reads their first rows from the
-integer table (`Layout.table`).
+A tile is up to WIDTHS[-1] lanes that are stepped together. What is read together stands together,
+in records: a neuron's potential, draw, spike and activity in consecutive rows, a synapse's weight
+and trace likewise. Within a record compiled code reaches each row by a constant, so that the
+compiler sees that rows differ and computes several lanes at once without asking at run time.
+
+Outside, the same numbers have one order for good, by SECTIONS: saves, keyframes and checksums do
+not know of records. `Layout.pack` leads there, and `unpack` back.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +21,10 @@ from numpy.typing import NDArray
 from hebbviz.topology import Topology
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+WIDTHS = (1, 16, 64)
+"""Lanes of a tile, for each of which the engine is compiled; lanes that nobody asked for idle."""
 
 SECTIONS = (
     "activity",  # u of inputs, then neurons: value; (units, lanes)
@@ -42,77 +51,161 @@ SECTIONS = (
     "x_squared",  # held input: |x|², (projections, lanes)
 )
 
-HEADER = ("inputs", "neurons", "outputs", "first_output", "projections", *SECTIONS)
-"""Columns of the first row of the table; then one row of COLUMNS per projection."""
+ABSENT = ("probability", "draw", "fired", "tally")
+"""SECTIONS that no row of the state holds: they follow from others, or, the tally, is float64
+whatever the state is.
+"""
 
-COLUMNS = ("pre", "pre_size", "post", "post_size", "synapse", "held", "row")
-"""First presynaptic unit, how many, first postsynaptic neuron, how many, first synapse, whether
-the presynaptic values are held input, first row of this projection in the z_input kind."""
+BLOCK = 4
+"""Random numbers come so many at a time."""
+
+NEURON = ("activity", "before", "potential", "surprise", "clamp")
+PROJECTION = ("beta", "gamma", "decay", "gain", "x_squared", "push")
+HELD = ("z_input", "w_input", "w_drive", "z_drive")
+SYNAPSE = ("weight", "trace")
+"""Rows of each kind of record. `push` is γ times the broadcast reward of the step.
+
+The probability, the draw and the spike of a step are not kept: they follow from the potential, from
+the number of the step, and from the activity.
+"""
+
+HEADER = (
+    "inputs", "neurons", "outputs", "projections",
+    "input", "input_before", "neuron", "output", "projection", "by_hand", "reward",
+)  # fmt: skip
+"""Columns of the first row of the table: how many, then first rows. Then one row of COLUMNS per
+projection."""
+
+COLUMNS = ("pre", "pre_size", "post", "post_size", "synapse", "is_held", "held")
+"""First presynaptic row (of an input, or of a neuron's record), how many, first postsynaptic
+neuron's record, how many, first synapse's record, whether the presynaptic values are held input,
+first record of the held sums."""
 
 
-def _header(name: str) -> int:
-    return HEADER.index(name)
+CACHE_LINE = 64
+"""Bytes. A vector of lanes that lies across two lines takes twice as long to fetch."""
+
+
+def aligned(rows: int, width: int, dtype: type[np.generic] = np.float64) -> NDArray[Any]:
+    """Zeros, (rows, width), that begin where a cache line does."""
+    size = rows * width * np.dtype(dtype).itemsize
+    room = np.zeros(size + CACHE_LINE, dtype=np.uint8)
+    first = -room.ctypes.data % CACHE_LINE
+    return room[first : first + size].view(dtype).reshape(rows, width)
+
+
+def width_for(lanes: int) -> int:
+    """Of a tile of so many lanes."""
+    return next(w for w in WIDTHS if w >= lanes)
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The sections of a network of the given topology, and the table that compiled code reads."""
+    """The rows of a network of the given topology, and the table that compiled code reads.
+
+    `where` gives the rows of each section, in the order of the section.
+    """
 
     topology: Topology
-    starts: dict[str, int] = field(init=False)
-    sizes: dict[str, int] = field(init=False)
+    where: dict[str, Rows] = field(init=False)
+    rows: int = field(init=False)
     table: NDArray[np.uint32] = field(init=False)
 
     def __post_init__(self) -> None:
         t = self.topology
-        post_rows = sum(t.shape(p)[0] for p in t.projections)
-        neurons, projections = t.neurons, len(t.projections)
+        held = sum(t.shape(p)[0] for p in t.projections)
         sizes = {
-            **dict.fromkeys(("activity", "before"), t.units),
-            **dict.fromkeys(("potential", "probability", "fired", "surprise", "clamp"), neurons),
-            "draw": -(-neurons // 4) * 4,
-            **dict.fromkeys(("weight", "trace"), t.synapses),
-            **dict.fromkeys(("beta", "gamma", "decay", "gain", "x_squared"), projections),
-            **dict.fromkeys(("z_input", "w_input", "w_drive", "z_drive"), post_rows),
-            "by_hand": 1,
+            "input": t.inputs, "input_before": t.inputs,
+            "neuron": t.neurons * len(NEURON), "projection": len(t.projections) * len(PROJECTION),
+            "held": held * len(HELD), "synapse": t.synapses * len(SYNAPSE), "by_hand": 1,
             "reward": 2,
-            "tally": 3,
+        }  # fmt: skip
+        ends = np.cumsum(list(sizes.values()))
+        starts = {n: int(e) - sizes[n] for n, e in zip(sizes, ends, strict=True)}
+        counts = {"neuron": t.neurons, "projection": len(t.projections), "held": held}
+        kinds = (("neuron", NEURON), ("projection", PROJECTION), ("held", HELD),
+                 ("synapse", SYNAPSE))  # fmt: skip
+        where = {
+            name: starts[kind] + len(names) * np.arange(counts.get(kind, t.synapses)) + k
+            for kind, names in kinds
+            for k, name in enumerate(names)
+            if name in SECTIONS
         }
-        ends = np.cumsum([sizes[name] for name in SECTIONS])
-        object.__setattr__(self, "sizes", sizes)
-        object.__setattr__(
-            self, "starts", {n: int(e) - sizes[n] for n, e in zip(SECTIONS, ends, strict=True)}
-        )
-        object.__setattr__(self, "table", self._table())
+        for name in ("by_hand", "reward"):
+            where[name] = starts[name] + np.arange(sizes[name])
+        for name, inputs in (("activity", "input"), ("before", "input_before")):
+            where[name] = np.concatenate([starts[inputs] + np.arange(t.inputs), where[name]])
+        object.__setattr__(self, "rows", int(ends[-1]))
+        object.__setattr__(self, "where", where)
+        object.__setattr__(self, "table", self._table(starts))
 
     @property
-    def rows(self) -> int:
-        return sum(self.sizes.values())
+    def draws(self) -> int:
+        """How many random numbers a step takes: one for each neuron, rounded up to whole blocks."""
+        return -(-self.topology.neurons // BLOCK) * BLOCK
+
+    @property
+    def packed(self) -> dict[str, slice]:
+        """The rows of each of SECTIONS in a keyframe."""
+        neurons = self.topology.neurons
+        absent = {"probability": neurons, "draw": self.draws, "fired": neurons, "tally": 3}
+        sizes = [absent.get(name) or len(self.where[name]) for name in SECTIONS]
+        ends = np.cumsum(sizes)
+        return {
+            name: slice(int(end) - size, int(end))
+            for name, size, end in zip(SECTIONS, sizes, ends, strict=True)
+        }
+
+    def pack(self, state: Array, absent: Mapping[str, Array]) -> Array:
+        """All SECTIONS in their order, float64: what a keyframe holds. `absent` are those of
+        ABSENT.
+        """
+        parts = [absent[name] if name in ABSENT else self.section(state, name) for name in SECTIONS]
+        return np.concatenate(parts, dtype=np.float64)
+
+    def unpack(self, packed: Array, state: Array) -> None:
+        """Put the SECTIONS that a state holds into one that is there."""
+        for name, rows in self.packed.items():
+            if name not in ABSENT:
+                self.put(state, name, packed[rows])
 
     def section(self, state: Array, name: str) -> Array:
-        """A view of one section, shape (its rows, lanes)."""
-        start = self.starts[name]
-        return state[start : start + self.sizes[name]]
+        """A copy of one section, shape (its rows, lanes)."""
+        return state[self.where[name]]
 
-    def empty_state(self, lanes: int) -> Array:
+    def put(self, state: Array, name: str, values: Array | float) -> None:
+        """Set one section."""
+        state[self.where[name]] = values
+
+    def empty_state(self, width: int, dtype: type[np.floating] = np.float64) -> Array:
         """A network at rest: silent neurons, zero weights and traces, nothing clamped."""
-        state = np.zeros((self.rows, lanes))
-        self.section(state, "activity")[self.topology.inputs :] = self.topology.activity[0]
-        self.section(state, "clamp")[:] = np.nan
-        self.section(state, "decay")[:] = 1.0
+        state = aligned(self.rows, width, dtype)
+        state[self.where["activity"][self.topology.inputs :]] = self.topology.activity[0]
+        self.put(state, "clamp", np.nan)
+        self.put(state, "decay", 1.0)
         return state
 
-    def _table(self) -> NDArray[np.uint32]:
+    def _table(self, starts: dict[str, int]) -> NDArray[np.uint32]:
         t = self.topology
         outputs = t.neurons_of(t.output)
         table = np.zeros((1 + len(t.projections), max(len(HEADER), len(COLUMNS))), dtype=np.uint32)
-        counts = (t.inputs, t.neurons, outputs.stop - outputs.start, outputs.start)
-        table[0, : len(HEADER)] = (*counts, len(t.projections), *self.starts.values())
-        synapse = row = 0
+
+        def neuron(number: int) -> int:
+            return starts["neuron"] + number * len(NEURON)
+
+        starts = {**starts, "output": neuron(outputs.start)}
+        counts = (t.inputs, t.neurons, outputs.stop - outputs.start, len(t.projections))
+        table[0, : len(HEADER)] = (*counts, *(starts[name] for name in HEADER[len(counts) :]))
+        synapse, held = starts["synapse"], starts["held"]
         for k, p in enumerate(t.projections):
             post, pre = t.shape(p)
-            first = (t.first_unit(p.pre), pre, t.neurons_of(p.post).start, post)
-            table[k + 1, : len(COLUMNS)] = (*first, synapse, t.is_held(p), row)
-            synapse += post * pre
-            row += post
+            first = (
+                starts["input"] + t.first_unit(p.pre)
+                if t.is_held(p)
+                else neuron(t.neurons_of(p.pre).start)
+            )
+            ends = (first, pre, neuron(t.neurons_of(p.post).start), post)
+            table[k + 1, : len(COLUMNS)] = (*ends, synapse, t.is_held(p), held)
+            synapse += post * pre * len(SYNAPSE)
+            held += post * len(HELD)
         return table

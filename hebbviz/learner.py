@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz import engine, held, rule
+from hebbviz import held
 from hebbviz.chance import (
     FIRST_EPISODE,
     INITIAL_WEIGHTS,
@@ -24,10 +25,12 @@ from hebbviz.chance import (
     check_seed,
     uniforms,
 )
-from hebbviz.layout import Layout
+from hebbviz.engine import FALL_EVERY
+from hebbviz.layout import SECTIONS, Layout
 from hebbviz.limits import (
     MOST_LANES,
     check_beta,
+    check_dtype,
     check_fall,
     check_gamma,
     check_lane,
@@ -36,14 +39,11 @@ from hebbviz.limits import (
 )
 from hebbviz.moments import Block, Frame, Keyframe, Summary
 from hebbviz.rules import Rule, make_rule
-from hebbviz.rules.paper import PAPER
 from hebbviz.task import CompiledTask, Tally, Task
+from hebbviz.tile import NOBODY, Notes, Sums, Tile, cut
 from hebbviz.topology import Topology
 
 Array = NDArray[np.float64]
-
-NOBODY = -1
-"""In place of a watched lane: nothing is noted."""
 
 EVALUATION_STEP = 2**40
 """Frozen copies count their steps from here, so that they draw other numbers than the learner."""
@@ -51,24 +51,6 @@ EVALUATION_STEP = 2**40
 
 class TaskError(Exception):
     """A task raised or broke its contract in mid-run; the learner is at the step before."""
-
-
-class _Notes(NamedTuple):
-    """What `engine.run` writes of each step: fired, rewards, and if asked for v and the world."""
-
-    fired: NDArray[np.uint8]
-    rewards: Array
-    potentials: Array
-    worlds: Array
-
-    @classmethod
-    def of(cls, steps: int, neurons: int, numbers: int | None) -> _Notes:
-        """Room for `steps`; `numbers` of the world's state, None if v and state are not asked."""
-        near = 0 if numbers is None else steps
-        return cls(
-            np.zeros((steps, neurons), dtype=np.uint8), np.zeros((steps, 3)),
-            np.zeros((near, neurons)), np.zeros((near, numbers or 0)),
-        )  # fmt: skip
 
 
 class Learner:
@@ -80,6 +62,8 @@ class Learner:
     hidden : sizes of the hidden layers, or `topology` for anything else; default the task's own.
     rule : what the reward is made into before it is sent to the synapses.
     fall : T in steps, γ in force at step t being γ T/(T + t); infinity for a γ that stays.
+    dtype : of weights, traces and potentials: float64, or float32 for more lanes a second. Worlds,
+        rewards and totals are float64 in both.
     seed : 0 to 2³² - 1. Lane k of a seed is the same run whatever lanes are beside it (unless the
         rule lets lanes touch each other).
 
@@ -104,6 +88,7 @@ class Learner:
         seed: int = 0,
         lanes: int = 1,
         first_lane: int = 0,
+        dtype: type[np.floating[Any]] | str = np.float64,
     ) -> None:
         if not 1 <= lanes <= MOST_LANES:
             raise ValueError(f"lanes must be from 1 to {MOST_LANES}, got {lanes}")
@@ -116,12 +101,15 @@ class Learner:
         self.lanes, self.first_lane = lanes, first_lane
         self.watch = 0
         self.step = 0
+        self.dtype = check_dtype(dtype)
         self.layout = Layout(self.topology)
-        self.network = self.layout.empty_state(lanes)
-        self._keys = np.array(
-            [[self.seed] * lanes, range(first_lane, first_lane + lanes)], dtype=np.uint32
-        )
-        self._gamma = np.zeros_like(self._section("gamma"))
+        self._tiles: list[Tile] = []
+        for size in cut(lanes):
+            first = first_lane + sum(t.lanes for t in self._tiles)
+            self._tiles.append(
+                Tile(self.layout, seed=seed, first_lane=first, lanes=size, dtype=self.dtype)
+            )
+        self._gamma = np.zeros((len(self.topology.projections), lanes))
         self._frozen = False
         self.probes: tuple[int, ...] = ()
         self._data = np.array(task.data() if isinstance(task, CompiledTask) else [[0.0]])
@@ -144,7 +132,7 @@ class Learner:
         Raises TaskError if the task fails; the learner is then at the end of the last good step.
         """
         start = self.step
-        notes = _Notes.of(check_steps(steps), self.topology.neurons, self._numbers_if(closely))
+        notes = Notes.of(check_steps(steps), self.topology.neurons, self._numbers_if(closely))
         instead = np.zeros(0) if reward is None else np.array(reward, dtype=np.float64)
         if reward is not None and not (instead.shape == (steps,) and np.isfinite(instead).all()):
             raise ValueError(f"reward must be {steps} finite numbers, one for each step")
@@ -160,7 +148,7 @@ class Learner:
     def skip(self, steps: int) -> None:
         """`advance` without notes: the same run, faster. The next Frame sums up from its end."""
         try:
-            self._run(check_steps(steps), NOBODY, _Notes.of(0, 0, None), np.zeros(0))
+            self._run(check_steps(steps), NOBODY, Notes.of(0, 0, None), np.zeros(0))
         finally:
             self._new_summary()
 
@@ -171,98 +159,98 @@ class Learner:
         return [now - then for now, then in zip(self.tallies(), before, strict=True)]
 
     def _numbers_if(self, closely: bool) -> int | None:
-        return len(self._lane_states()[self.watch]) if closely else None
+        return len(self._lane_state(self.watch)) if closely else None
 
-    def _run(self, steps: int, watch: int, notes: _Notes, instead: Array) -> None:
+    def _run(self, steps: int, watch: int, notes: Notes, instead: Array) -> None:
         if isinstance(self.task, CompiledTask):
-            self._run_compiled(self.task, steps, watch, notes, instead)
+            for tile, _ in self._cut:
+                tile.run(
+                    steps, self.step, self.task.answer, self._data, instead=instead,
+                    watch=self._seen_in(tile, watch), notes=notes, sums=self._sums,
+                )  # fmt: skip
+            self.step += steps
         else:
             for row in range(steps):
                 self._step_python(row, watch, notes, instead)
 
-    def _run_compiled(
-        self, task: CompiledTask, steps: int, watch: int, notes: _Notes, instead: Array
-    ) -> None:
-        engine.run(
-            steps, self.step, task.answer, self.network, self.layout.table, self._keys,
-            *self.topology.activity, self._world, self._data, self._observed,
-            self._step_size, self._fall, self._modulate, self._memory, self._constants,
-            self._modulated, instead, watch, *notes, self._counts, self._extremes,
-            self._probe_rows,
-        )  # fmt: skip
-        self.step += steps
-
-    def _step_python(self, row: int, watch: int, notes: _Notes, instead: Array) -> None:
+    def _step_python(self, row: int, watch: int, notes: Notes, instead: Array) -> None:
         """One step of a world in Python; if the world fails, nothing has happened."""
-        if self.step % engine.FALL_EVERY == 0 and self._fall < math.inf:
+        if self.step % FALL_EVERY == 0 and self._fall < math.inf:
             self._put_gamma()
-        np.copyto(self._before, self.network)
-        memory = self._memory.copy()
-        rule.respond(
-            self.network, self.layout.table, self._keys, self.step, *self.topology.activity
-        )
-        fired, rewards, potentials, worlds = notes
+        actions = [tile.respond(self.step) for tile in self._tiles]
         try:
-            states = [self._answer(lane) for lane in range(self.lanes)]
+            states = [
+                self._answer(tile, k, action[:, k])
+                for tile, action in zip(self._tiles, actions, strict=True)
+                for k in range(tile.lanes)
+            ]
             self._set_clamps(states)
-            accepted = engine.settle(
-                self.network, self.layout.table, self._observed, self._modulate, self._memory,
-                self._constants, self._modulated, self._reward, self._ended, instead, watch, row,
-                fired, rewards, potentials, self._counts, self._extremes, self._probe_rows,
-            )  # fmt: skip
-            if not accepted:
-                raise ValueError("an observation or a reward is not a finite number")
+            for tile, lanes in self._cut:
+                accepted = tile.settle(
+                    [self._see(state) for state in states[lanes]], row, instead=instead,
+                    watch=self._seen_in(tile, watch), notes=notes, sums=self._sums,
+                )  # fmt: skip
+                if not accepted:
+                    raise ValueError("an observation or a reward is not a finite number")
         except BaseException as error:
-            np.copyto(self.network, self._before)
-            np.copyto(self._memory, memory)
+            for tile in self._tiles:
+                tile.back()
             if not isinstance(error, Exception):  # Ctrl-C
                 raise
             raise _task_error(self.task, error) from error
-        if len(worlds):
-            worlds[row] = states[watch]
+        if len(notes.worlds):
+            notes.worlds[row] = states[watch]
         self._states = states
         self.step += 1
 
-    def _answer(self, lane: int) -> Array:
-        """Let a world in Python answer the outputs; returns its next state."""
-        task = self.task
-        draws = Draws(self.seed, self.first_lane + lane, self.step)
-        state = _numbers(
-            task.transition(self._states[lane].copy(), self._output[:, lane].copy(), draws)
-        )
-        self._reward[lane] = task.reward(state)
+    def _seen_in(self, tile: Tile, lane: int) -> int:
+        """Which of a tile's lanes is the watched one, NOBODY if it is another's."""
+        place = self.first_lane + lane - tile.first_lane
+        return place if lane != NOBODY and 0 <= place < tile.lanes else NOBODY
+
+    def _answer(self, tile: Tile, k: int, action: Array) -> Array:
+        """Let a world in Python answer the outputs of lane k of a tile; returns its next state."""
+        task, before = self.task, self._states[tile.first_lane - self.first_lane + k]
+        draws = Draws(self.seed, tile.first_lane + k, self.step)
+        state = _numbers(task.transition(before.copy(), action, draws))
+        tile.reward[k] = task.reward(state)
         ended = task.ended(state)
-        self._ended[lane] = ended
+        tile.ended[k] = ended
         if ended:
             state = _numbers(task.restart(Draws(self.seed, draws.lane, self.step, NEXT_EPISODE)))
-        if state.shape != self._states[lane].shape:
-            raise ValueError(
-                f"the state must keep its shape {self._states[lane].shape}, got {state.shape}"
-            )
-        seen = np.asarray(task.observation(state))
+        if state.shape != before.shape:
+            raise ValueError(f"the state must keep its shape {before.shape}, got {state.shape}")
+        return state
+
+    def _see(self, state: Array) -> Array:
+        """What a state shows, (inputs,)."""
+        seen = np.asarray(self.task.observation(state), dtype=np.float64)
         if seen.shape != (self.topology.inputs,):
             raise ValueError(
                 f"an observation must have shape ({self.topology.inputs},), got {seen.shape}"
             )
-        self._observed[:, lane] = seen
-        return state
+        return seen
 
     def _set_clamps(self, states: Sequence[Array]) -> None:
         if type(self.task).clamps is Task.clamps:
             return
+        clamps = np.full((self.topology.neurons, self.lanes), np.nan)
         for lane, state in enumerate(states):
-            clamps = self.task.clamps(state)
-            if clamps is not None and clamps.shape != (self.topology.neurons,):
+            wanted = self.task.clamps(state)
+            if wanted is None:
+                continue
+            if wanted.shape != (self.topology.neurons,):
                 raise ValueError(
-                    f"clamps must have shape ({self.topology.neurons},), got {clamps.shape}"
+                    f"clamps must have shape ({self.topology.neurons},), got {wanted.shape}"
                 )
-            self._section("clamp")[:, lane] = np.nan if clamps is None else clamps
+            clamps[:, lane] = wanted
+        self._put("clamp", clamps)
 
     # Commands: each takes effect before the next step
 
     def set_beta(self, beta: float) -> None:
         """How long the traces remember: z fades by β each step. Resets nothing."""
-        self._section("beta")[:] = check_beta(beta)
+        self._put("beta", check_beta(beta))
 
     def set_gamma(self, gamma: float) -> None:
         """The step size γ. While learning is frozen it is only remembered."""
@@ -271,7 +259,7 @@ class Learner:
 
     def set_fall(self, fall: float) -> None:
         """Let γ fall over T steps: in force at step t is γ/(1 + t/T), with t counted from the
-        start of the run and rounded down to a multiple of engine.FALL_EVERY. Infinity: γ stays.
+        start of the run and rounded down to a multiple of FALL_EVERY. Infinity: γ stays.
         """
         self._fall = check_fall(fall)
         self._put_gamma()
@@ -286,9 +274,9 @@ class Learner:
                 f"rule {rule.name} needs {rule.least_lanes} lanes or more, this learner has "
                 f"{self.lanes}"
             )
-        self._modulate, self._constants = rule.compiled(), rule.constants
-        self._modulated = np.zeros(0 if rule == PAPER else self.lanes)
-        self._rule, self._memory = rule, np.zeros((len(rule.memory), self.lanes))
+        for tile in self._tiles:
+            tile.set_rule(rule)
+        self._rule = rule
 
     def freeze(self, frozen: bool) -> None:
         """Stop the weights (γ in force 0) or let them go again; traces go on either way."""
@@ -297,7 +285,7 @@ class Learner:
 
     def give_reward(self, reward: float) -> None:
         """Add to the reward of the next step, on top of what the task gives."""
-        self._section("by_hand")[:] += check_reward(reward)
+        self._put("by_hand", self._read("by_hand") + check_reward(reward))
 
     def press(self, control: str) -> None:
         """Press one of the task's own buttons; raises ValueError for an unknown one."""
@@ -305,7 +293,9 @@ class Learner:
         if control not in known:
             raise ValueError(f"task {self.task.name!r} has no control {control!r}; it has {known}")
         try:
-            pressed = [self.task.press(s.copy(), control) for s in self._lane_states()]
+            pressed = [
+                self.task.press(self._lane_state(lane), control) for lane in range(self.lanes)
+            ]
             world = np.stack([_numbers(s) for s in pressed], axis=1)
         except Exception as error:
             raise _task_error(self.task, error) from error
@@ -317,7 +307,7 @@ class Learner:
         Raises TaskError if the task cannot be in that state; nothing has happened then.
         """
         states = [world[:, k].copy() for k in range(world.shape[1])]
-        clamps = self._section("clamp").copy()
+        clamps = self._read("clamp")
         try:
             if world.shape != self.world.shape:
                 raise ValueError(
@@ -326,11 +316,11 @@ class Learner:
             seen = self._look(states)
             self._set_clamps(states)
         except Exception as error:
-            self._section("clamp")[:] = clamps
+            self._put("clamp", clamps)
             raise _task_error(self.task, error) from error
         self._put_states(states)
-        self._observed = seen
-        rule.hold(self.network, self.layout.table, self._observed)
+        for tile, lanes in self._cut:
+            tile.see(seen[:, lanes])
 
     def look_at(self, lane: int) -> None:
         """Choose the lane that Blocks and Frames show; the next Frame sums up from now."""
@@ -348,7 +338,7 @@ class Learner:
 
     @property
     def beta(self) -> float:
-        return float(self._section("beta").flat[0])
+        return float(self._tiles[0].read_lane("beta", 0)[0])
 
     @property
     def gamma(self) -> float:
@@ -357,7 +347,7 @@ class Learner:
 
     @property
     def gamma_in_force(self) -> float:
-        return float(self._section("gamma").flat[0])
+        return float(self._tiles[0].read_lane("gamma", 0)[0])
 
     @property
     def fall(self) -> float:
@@ -371,48 +361,58 @@ class Learner:
     @property
     def memory(self) -> Array:
         """What the rule keeps, (rows of its memory, lanes)."""
-        return self._memory.copy()
+        return np.concatenate([tile.memory for tile in self._tiles], axis=1)
 
     @property
     def frozen(self) -> bool:
         return self._frozen
 
     @property
+    def nbytes(self) -> int:
+        """Of a keyframe's network."""
+        return 8 * int(self.layout.packed[SECTIONS[-1]].stop) * self.lanes
+
+    @property
+    def network(self) -> Array:
+        """All numbers of the network in the order of `layout.SECTIONS`, (rows, lanes)."""
+        return np.concatenate([tile.pack() for tile in self._tiles], axis=1)
+
+    @property
     def weights(self) -> Array:
         """w of every synapse, (synapses, lanes), in the topology's order."""
-        return held.unfolded(self.layout, self.network)[0]
+        return np.concatenate([tile.synapses()[0] for tile in self._tiles], axis=1)
 
     @property
     def traces(self) -> Array:
         """z of every synapse, (synapses, lanes)."""
-        return held.unfolded(self.layout, self.network)[1]
+        return np.concatenate([tile.synapses()[1] for tile in self._tiles], axis=1)
 
     @property
     def potentials(self) -> Array:
         """v of every neuron at the last step, (neurons, lanes)."""
-        return self._section("potential").copy()
+        return self._read("potential")
 
     @property
     def activities(self) -> Array:
         """u of every unit, inputs first, (units, lanes)."""
-        return self._section("activity").copy()
+        return self._read("activity")
 
     @property
     def world(self) -> Array:
         """The state of the task, (numbers, lanes)."""
         if isinstance(self.task, CompiledTask):
-            return self._world.copy()
+            return np.concatenate([t.world[:, : t.lanes] for t in self._tiles], axis=1)
         return np.stack(self._states, axis=1)
 
     @property
     def totals(self) -> Array:
         """Reward of the task, reward broadcast, episodes ended since the start, (3, lanes)."""
-        return self._section("tally").copy()
+        return np.concatenate([t.totals[:, : t.lanes] for t in self._tiles], axis=1)
 
     def tally(self, lane: int | None = None) -> Tally:
         """Totals since the start, of one lane (default the watched one)."""
-        totals = self._section("tally")[:, self.watch if lane is None else lane]
-        return Tally(self.step, *(float(x) for x in totals))
+        tile, k = self._place_of(self.watch if lane is None else lane)
+        return Tally(self.step, *(float(x) for x in tile.totals[:, k]))
 
     def tallies(self) -> list[Tally]:
         """Totals since the start, of each lane."""
@@ -420,24 +420,27 @@ class Learner:
 
     def set_weights(self, weights: Array) -> None:
         """Put (synapses, lanes) weights in place of the present ones; traces stay."""
-        traces = self.traces
-        self._section("weight")[:] = weights
-        self._section("trace")[:] = traces
-        held.refold(self.layout, self.network)
+        if weights.shape != (self.topology.synapses, self.lanes):
+            raise ValueError(
+                f"weights must have shape ({self.topology.synapses}, {self.lanes}), "
+                f"got {weights.shape}"
+            )
+        for tile, lanes in self._cut:
+            tile.set_synapses(weights[:, lanes], tile.synapses()[1])
 
     def frame(self) -> Frame:
         """The watched lane now, and the summary since the last call."""
-        lane = self.watch
-        weight, trace = self._watched_synapses()
+        tile, lane = self._place_of(self.watch)
+        weight, trace = tile.synapses_of(lane)
         tally = self.tally()
         neurons = self.topology.neurons
-        raw, broadcast = self._section("reward")[:, lane]
+        raw, broadcast = tile.read_lane("reward", lane)
         since = Summary(
             steps=self._summed_steps,
-            spikes=self._counts.copy(),
-            potential_range=self._extremes[:, :neurons].copy(),
+            spikes=self._sums.counts.copy(),
+            potential_range=self._sums.extremes[:, :neurons].copy(),
             probes=self._probes,
-            probe_range=self._extremes[:, neurons:].copy(),
+            probe_range=self._sums.extremes[:, neurons:].copy(),
             weight_change=weight - self._summed_weight,
             tally=tally - self._summed_tally,
         )
@@ -450,18 +453,16 @@ class Learner:
             fall=self._fall,
             frozen=self._frozen,
             rule=self._rule,
-            memory=self._memory[:, lane].copy(),
-            world=self._lane_states()[lane].copy(),
+            memory=tile.memory[:, lane].copy(),
+            world=self._lane_state(self.watch),
             reward=(float(raw), float(broadcast)),
             tally=tally,
             since=since,
             **{
-                name: self._section(name)[: self._rows(name), lane].copy()
-                for name in (
-                    "activity", "before", "potential", "probability", "draw", "fired", "beta",
-                    "gamma",
-                )
+                name: tile.read_lane(name, lane)
+                for name in ("activity", "before", "potential", "beta", "gamma")
             },
+            **{name: rows[:neurons, lane] for name, rows in tile.spikes().items()},
         )  # fmt: skip
         self._new_summary()
         return frame
@@ -471,8 +472,8 @@ class Learner:
     def keyframe(self) -> Keyframe:
         """This moment, from which the run can be made again."""
         return Keyframe(
-            self.step, self.network.copy(), self.world, self._gamma.copy(), self._frozen,
-            self._rule, self._memory.copy(), self._fall,
+            self.step, self.network, self.world, self._gamma.copy(), self._frozen, self._rule,
+            self.memory, self._fall,
         )  # fmt: skip
 
     def restore(self, keyframe: Keyframe) -> None:
@@ -480,10 +481,10 @@ class Learner:
 
         Raises ValueError if the keyframe's arrays do not fit.
         """
-        if keyframe.network.shape != self.network.shape:
+        shape = (self.layout.packed[SECTIONS[-1]].stop, self.lanes)
+        if keyframe.network.shape != shape:
             raise ValueError(
-                f"a keyframe of this network has shape {self.network.shape}, "
-                f"got {keyframe.network.shape}"
+                f"a keyframe of this network has shape {shape}, got {keyframe.network.shape}"
             )
         if keyframe.world.shape != self.world.shape:
             raise ValueError(
@@ -497,14 +498,14 @@ class Learner:
                 f"got {keyframe.memory.shape}"
             )
         self.set_rule(keyframe.rule)
-        np.copyto(self._memory, keyframe.memory)
         self.step = keyframe.step
-        np.copyto(self.network, keyframe.network)
         np.copyto(self._gamma, keyframe.gamma)
         self._frozen, self._fall = keyframe.frozen, keyframe.fall
-        self._step_size = self._gamma * (not self._frozen)
+        self._put_gamma()
+        for tile, lanes in self._cut:
+            tile.unpack(keyframe.network[:, lanes], self.step)
+            np.copyto(tile.memory, keyframe.memory[:, lanes])
         self._put_states([keyframe.world[:, k].copy() for k in range(self.lanes)])
-        self._observed[:] = self._section("activity")[: self.topology.inputs]
         self._new_summary()
 
     def twin(self, task: Task | None = None) -> Learner:
@@ -515,7 +516,7 @@ class Learner:
         twin = Learner(
             self.task if task is None else task, topology=self.topology, beta=self.beta,
             gamma=self.gamma, rule=self._rule, fall=self._fall, seed=self.seed, lanes=self.lanes,
-            first_lane=self.first_lane,
+            first_lane=self.first_lane, dtype=self.dtype,
         )  # fmt: skip
         twin.look_at(self.watch)
         return twin
@@ -531,17 +532,25 @@ class Learner:
 
     # Inside
 
-    def _section(self, name: str) -> Array:
-        return self.layout.section(self.network, name)
+    @cached_property
+    def _cut(self) -> list[tuple[Tile, slice]]:
+        """The tiles, and which lanes each has."""
+        starts = [tile.first_lane - self.first_lane for tile in self._tiles]
+        return [(t, slice(s, s + t.lanes)) for t, s in zip(self._tiles, starts, strict=True)]
 
-    def _watched_synapses(self) -> tuple[Array, Array]:
-        """w and z of the watched lane, each (synapses,)."""
-        lane = self.network[:, self.watch : self.watch + 1]
-        weight, trace = held.unfolded(self.layout, lane)
-        return weight[:, 0], trace[:, 0]
+    def _place_of(self, lane: int) -> tuple[Tile, int]:
+        """The tile of a lane, and its number there."""
+        for tile, lanes in self._cut:
+            if lane < lanes.stop:
+                return tile, lane - lanes.start
+        raise IndexError(f"lane must be below {self.lanes}, got {lane}")
 
-    def _rows(self, name: str) -> int:
-        return self.topology.neurons if name == "draw" else self.layout.sizes[name]
+    def _read(self, name: str) -> Array:
+        return np.concatenate([tile.read(name) for tile in self._tiles], axis=1)
+
+    def _put(self, name: str, values: Array | float) -> None:
+        for tile, lanes in self._cut:
+            tile.put(name, values if np.ndim(values) == 0 else np.asarray(values)[:, lanes])
 
     def _check_fit(self) -> None:
         inputs, outputs = len(self.task.inputs), len(self.task.outputs)
@@ -557,15 +566,17 @@ class Learner:
             )
 
     def _start_weights(self) -> None:
+        weights = np.empty((self.topology.synapses, self.lanes))
         for lane in range(self.lanes):
             draws = uniforms(
                 self.topology.synapses, seed=self.seed, lane=self.first_lane + lane,
                 purpose=INITIAL_WEIGHTS,
             )  # fmt: skip
             try:
-                self._section("weight")[:, lane] = self.task.initial_weights(draws)
+                weights[:, lane] = self.task.initial_weights(draws)
             except Exception as error:
                 raise _task_error(self.task, error) from error
+        self._put("weight", weights)
 
     def _start_world(self) -> None:
         try:
@@ -574,56 +585,53 @@ class Learner:
                 for k in range(self.lanes)
             ]
             self._put_states(states)
-            self._observed = self._look(states)
+            seen = self._look(states)
             self._set_clamps(states)
         except Exception as error:
             raise _task_error(self.task, error) from error
-        self._reward, self._ended = np.zeros(self.lanes), np.zeros(self.lanes)
-        self._before = self.network.copy()
-        first = self.topology.first_unit(self.topology.output)
-        self._output = self.network[first : first + len(self.task.outputs)]
-        rule.hold(self.network, self.layout.table, self._observed)
+        for tile, lanes in self._cut:
+            tile.see(seen[:, lanes])
 
     def _put_gamma(self) -> None:
         """Put γ in force, as it is at this step."""
-        self._step_size = self._gamma * (not self._frozen)
-        since = self.step - self.step % engine.FALL_EVERY
-        self._section("gamma")[:] = self._step_size / (1.0 + since / self._fall)
+        for tile, lanes in self._cut:
+            gamma = np.zeros_like(self._gamma[:, lanes]) if self._frozen else self._gamma[:, lanes]
+            tile.put_gamma(gamma, self.step, self._fall)
 
     def _look(self, states: Sequence[Array]) -> Array:
         """What the network would see of these states, (inputs, lanes)."""
-        seen = np.array([self.task.observation(s) for s in states], dtype=np.float64).T.copy()
-        if seen.shape != (self.topology.inputs, self.lanes):
-            raise ValueError(
-                f"an observation must have shape ({self.topology.inputs},), got {seen.shape[:-1]}"
-            )
+        seen = np.stack([self._see(state) for state in states], axis=1)
         if not np.isfinite(seen).all():
             raise ValueError("an observation is not a finite number")
         return seen
 
-    def _lane_states(self) -> list[Array]:
+    def _lane_state(self, lane: int) -> Array:
+        """The state of the task in one lane, (numbers,)."""
         if isinstance(self.task, CompiledTask):
-            return [self._world[:, k].copy() for k in range(self.lanes)]
-        return self._states
+            tile, k = self._place_of(lane)
+            return tile.world[:, k].copy()
+        return self._states[lane].copy()
 
     def _put_states(self, states: Sequence[Array]) -> None:
         if isinstance(self.task, CompiledTask):
-            self._world = np.stack(states, axis=1)
+            for tile, lanes in self._cut:
+                tile.put_world(np.stack(states[lanes], axis=1))
         else:
             self._states = list(states)
 
     def _new_summary(self) -> None:
+        tile, lane = self._place_of(self.watch)
         self._summed_steps = 0
         self._summed_tally = self.tally()
-        self._summed_weight = self._watched_synapses()[0]
+        self._summed_weight = tile.synapses_of(lane)[0]
         self._probes = self.probes
-        self._probe_rows = np.array(
-            [held.trace_rows(self.layout, s) for s in self._probes], dtype=np.int64
-        ).reshape(-1, 4)
-        neurons = self.topology.neurons
-        self._counts = np.zeros(neurons, dtype=np.int64)
-        self._extremes = np.empty((2, neurons + len(self._probes)))
-        self._extremes[0], self._extremes[1] = np.inf, -np.inf
+        rows = [held.trace_rows(self.layout, s) for s in self._probes]
+        extremes = np.empty((2, self.topology.neurons + len(rows)))
+        extremes[0], extremes[1] = np.inf, -np.inf
+        self._sums = Sums(
+            np.zeros(self.topology.neurons, dtype=np.int64), extremes,
+            np.array(rows, dtype=np.int64).reshape(-1, 4),
+        )  # fmt: skip
 
 
 def _numbers(state: Array) -> Array:

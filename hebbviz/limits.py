@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -59,6 +60,14 @@ def check_lane(lane: int, lanes: int) -> int:
     if not 0 <= lane < lanes:
         raise ValueError(f"lane must be from 0 to {lanes - 1}, got {lane}")
     return lane
+
+
+def check_dtype(dtype: Any) -> type[np.floating[Any]]:
+    """float32 or float64 as a type; raises ValueError for anything else."""
+    for known in (np.float32, np.float64):
+        if dtype in (known, known.__name__):
+            return known
+    raise ValueError(f"dtype must be float32 or float64, got {dtype!r}")
 
 
 def check_steps(steps: int) -> int:

@@ -18,51 +18,44 @@ and z₀ are what the synapse was when x came. So a step costs a few numbers per
 one per synapse, and nothing is approximated. `hold` folds the sums back into w₀ and z₀, and does
 so only when the input changes: rounding does not depend on pictures, blocks or saves.
 
-Another rule is another file with these three functions.
-No `fastmath`, and an exponential of our own: the results are the same to the bit whatever the
-number of lanes, and with or without a vector mathematics library on the machine.
+`s` is a tile's state (rows, width) laid flat, so that row r of lane k is s[r·width + k]; `table`
+is the layout's. `width` is a constant wherever these functions are compiled. The innermost loops
+run over the lanes, each loop within few records (see `layout`), and the compiler computes several
+lanes at once. No `fastmath`: the results are the same to the bit whatever the width.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import types
 
-from hebbviz.chance import SPIKES, four_uniforms
-from hebbviz.compiled import compiled, inlined
-from hebbviz.layout import COLUMNS, HEADER
+from hebbviz.chance import SPIKES, eight_words, four_words, unit
+from hebbviz.compiled import inlined, row
+from hebbviz.layout import BLOCK, COLUMNS, HEADER, HELD, NEURON, PROJECTION, SYNAPSE, WIDTHS
+from hebbviz.squashing import sigmoid
 
-STATE = types.Array(types.float64, 2, "C")
-KEYS = types.Array(types.uint32, 2, "C")
+INPUTS, NEURONS, OUTPUTS, PROJECTIONS = range(4)
+(
+    INPUT, INPUT_BEFORE, FIRST_NEURON, FIRST_OUTPUT, FIRST_PROJECTION, BY_HAND, REWARD,
+) = range(4, len(HEADER))  # fmt: skip
+U, BEFORE, V, SURPRISE, CLAMP = range(len(NEURON))
+BETA, GAMMA, DECAY, GAIN, X_SQUARED, PUSH = range(len(PROJECTION))
+Z_INPUT, W_INPUT, W_DRIVE, Z_DRIVE = range(len(HELD))
+W, Z = range(len(SYNAPSE))
+WIDEST = WIDTHS[-1]
+_PRE, _PRE_SIZE, _POST, _POST_SIZE, _SYNAPSE, _IS_HELD, _HELD = range(len(COLUMNS))
 
-
-_INPUTS, _NEURONS, _PROJECTIONS = (HEADER.index(n) for n in ("inputs", "neurons", "projections"))
-_U, _BEFORE, _V, _P, _DRAW, _FIRED, _SURPRISE, _CLAMP = (
-    HEADER.index(n)
-    for n in (
-        "activity",
-        "before",
-        "potential",
-        "probability",
-        "draw",
-        "fired",
-        "surprise",
-        "clamp",
-    )
+A_NEURON, A_PROJECTION, _A_HELD, _A_SYNAPSE = (
+    len(record) for record in (NEURON, PROJECTION, HELD, SYNAPSE)
 )
-_W, _Z, _BETA, _GAMMA, _REWARD = (
-    HEADER.index(n) for n in ("weight", "trace", "beta", "gamma", "reward")
-)
-_DECAY, _GAIN, _Z_INPUT, _W_INPUT, _W_DRIVE, _Z_DRIVE, _X_SQUARED = (
-    HEADER.index(n)
-    for n in ("decay", "gain", "z_input", "w_input", "w_drive", "z_drive", "x_squared")
-)
-_PRE, _PRE_SIZE, _POST, _POST_SIZE, _SYNAPSE, _HELD, _ROW = range(len(COLUMNS))
+"""Rows of a record."""
 
-_LOG2_E = 1.4426950408889634
-_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
-_ROUND = 6755399441055744.0  # 1.5·2⁵²: adding it rounds to a whole number in the low bits
-_ROUND_BITS = np.int64(0x4338000000000000)
+
+@inlined
+def count(state, width):  # type: ignore[no-untyped-def]  # compiled: int64
+    """`width` for loops over the lanes. Of a narrow tile the compiler is not to know it: it would
+    write the lanes out one by one instead of computing several at once.
+    """
+    return width if width in (1, WIDEST) else state.shape[1]
 
 
 @inlined
@@ -72,237 +65,250 @@ def at(row, column):  # type: ignore[no-untyped-def]  # compiled: int64
 
 
 @inlined
-def exp_of_negative(a):  # type: ignore[no-untyped-def]  # compiled: float64 to float64
-    """e^a for a ≤ 0, to 1 unit in the last place; below −700 it stays at e^−700."""
-    a = max(a, -700.0)
-    shifted = a * _LOG2_E + _ROUND
-    n = shifted - _ROUND
-    x = (a - n * _LN2_HIGH) - n * _LN2_LOW
-    x2 = x * x
-    x4 = x2 * x2
-    low = (1.0 + x) + x2 * (1 / 2 + x * (1 / 6))
-    mid = (1 / 24 + x * (1 / 120)) + x2 * (1 / 720 + x * (1 / 5040))
-    high = (1 / 40320 + x * (1 / 362880)) + x2 * (1 / 3628800 + x * (1 / 39916800))
-    top = 1 / 479001600 + x * (1 / 6227020800)
-    series = low + x4 * (mid + x4 * (high + x4 * top))
-    exponent = np.float64(shifted).view(np.int64) - _ROUND_BITS
-    return series * np.int64((exponent + 1023) << 52).view(np.float64)
-
-
-@inlined
-def sigmoid(v):  # type: ignore[no-untyped-def]  # compiled: float64 to float64
-    """σ(v) = 1/(1 + e^{−v}), equation (neuron)."""
-    e = exp_of_negative(-abs(v))
-    return (1.0 if v >= 0.0 else e) / (1.0 + e)
-
-
-@inlined
-def _potentials(state, table, lanes):  # type: ignore[no-untyped-def]
-    """Equation (potential) for every neuron."""
-    head = table[0]
-    first_v = at(head, _V)
-    for row in range(first_v, first_v + at(head, _NEURONS)):
-        for lane in range(lanes):
-            state[row, lane] = 0.0
-    for k in range(at(head, _PROJECTIONS)):
-        p = table[k + 1]
-        v, pre, pre_size = first_v + at(p, _POST), at(head, _U) + at(p, _PRE), at(p, _PRE_SIZE)
-        if at(p, _HELD):
-            row, gain, square = at(p, _ROW), at(head, _GAIN) + k, at(head, _X_SQUARED) + k
-            w_drive, z_drive = at(head, _W_DRIVE) + row, at(head, _Z_DRIVE) + row
-            w_input = at(head, _W_INPUT) + row
-            for i in range(at(p, _POST_SIZE)):
-                for lane in range(lanes):
-                    state[v + i, lane] += (
-                        state[w_drive + i, lane]
-                        + state[gain, lane] * state[z_drive + i, lane]
-                        + state[w_input + i, lane] * state[square, lane]
-                    )
-        else:
-            w = at(head, _W) + at(p, _SYNAPSE)
-            for i in range(at(p, _POST_SIZE)):
-                for j in range(pre_size):
-                    for lane in range(lanes):
-                        state[v + i, lane] += state[w, lane] * state[pre + j, lane]
-                    w += 1
-
-
-@inlined
-def _fire(state, table, lanes, keys, step):  # type: ignore[no-untyped-def]
-    """Equation (neuron): draw who fires. One draw per neuron and step, clamped or not."""
-    head = table[0]
-    neurons, draw = at(head, _NEURONS), at(head, _DRAW)
-    for block in range((neurons + 3) // 4):
-        for lane in range(lanes):
-            a, b, c, d = four_uniforms(keys[0, lane], keys[1, lane], SPIKES, step, block)
-            state[draw + 4 * block, lane] = a
-            state[draw + 4 * block + 1, lane] = b
-            state[draw + 4 * block + 2, lane] = c
-            state[draw + 4 * block + 3, lane] = d
-    v, p, fired, surprise, clamp = (
-        at(head, _V),
-        at(head, _P),
-        at(head, _FIRED),
-        at(head, _SURPRISE),
-        at(head, _CLAMP),
-    )
-    for i in range(neurons):
-        for lane in range(lanes):
-            expected = sigmoid(state[v + i, lane])
-            fires = 1.0 if state[draw + i, lane] < expected else 0.0
-            forced = state[clamp + i, lane]
-            fires = fires if np.isnan(forced) else forced
-            state[p + i, lane] = expected
-            state[fired + i, lane] = fires
-            state[surprise + i, lane] = fires - expected
-
-
-@inlined
-def _remember(state, table, lanes):  # type: ignore[no-untyped-def]
-    """Equation (neuron-zupdate) for every synapse, from the activities of the step before."""
-    head = table[0]
-    for k in range(at(head, _PROJECTIONS)):
-        p = table[k + 1]
-        beta, pre, pre_size = at(head, _BETA) + k, at(head, _U) + at(p, _PRE), at(p, _PRE_SIZE)
-        surprise = at(head, _SURPRISE) + at(p, _POST)
-        if at(p, _HELD):
-            decay, z_input = at(head, _DECAY) + k, at(head, _Z_INPUT) + at(p, _ROW)
-            for lane in range(lanes):
-                state[decay, lane] *= state[beta, lane]
-            for i in range(at(p, _POST_SIZE)):
-                for lane in range(lanes):
-                    state[z_input + i, lane] = (
-                        state[beta, lane] * state[z_input + i, lane] + state[surprise + i, lane]
-                    )
-        else:
-            z = at(head, _Z) + at(p, _SYNAPSE)
-            for i in range(at(p, _POST_SIZE)):
-                for j in range(pre_size):
-                    for lane in range(lanes):
-                        state[z, lane] = (
-                            state[beta, lane] * state[z, lane]
-                            + state[surprise + i, lane] * state[pre + j, lane]
-                        )
-                    z += 1
-
-
-@inlined
-def _respond(state, table, lanes, keys, step, low, high):  # type: ignore[no-untyped-def]
-    head = table[0]
-    for row in range(at(head, _INPUTS) + at(head, _NEURONS)):
-        for lane in range(lanes):
-            state[at(head, _BEFORE) + row, lane] = state[at(head, _U) + row, lane]
-    _potentials(state, table, lanes)
-    _fire(state, table, lanes, keys, step)
-    _remember(state, table, lanes)
-    u, fired = at(head, _U) + at(head, _INPUTS), at(head, _FIRED)
-    for i in range(at(head, _NEURONS)):
-        for lane in range(lanes):
-            state[u + i, lane] = low + state[fired + i, lane] * (high - low)
-
-
-@compiled
-def respond(state, table, keys, step, low, high):  # type: ignore[no-untyped-def]
+def respond(state, table, width, words, keys, step, low, high, clamped, fresh):  # type: ignore[no-untyped-def]
     """Potentials, spikes and traces of one step, from the activities of the step before.
 
-    `state` is (rows, lanes) in the layout's sections, `table` the layout's; `keys` (2, lanes)
-    holds each lane's seed and number; `low` and `high` are the activities of a silent and of a
-    firing neuron.
+    `words` (8, width) is room for random numbers; `keys` (2, width) holds each lane's seed and
+    number; `low` and `high` are the activities of a silent and of a firing neuron; `clamped` says
+    that some may be clamped, `fresh` that the input may have changed since the step before.
     """
-    if state.shape[1] == 1:  # a constant lets the compiler drop the loops over lanes
-        _respond(state, table, 1, keys, step, low, high)
-    else:
-        _respond(state, table, state.shape[1], keys, step, low, high)
-
-
-@compiled
-def reinforce(state, table):  # type: ignore[no-untyped-def]
-    """Equation (neuron-update) for every synapse, with the broadcast reward of this step."""
-    if state.shape[1] == 1:
-        _reinforce(state, table, 1)
-    else:
-        _reinforce(state, table, state.shape[1])
-
-
-@inlined
-def _reinforce(state, table, lanes):  # type: ignore[no-untyped-def]
     head = table[0]
-    reward = at(head, _REWARD) + 1
-    for k in range(at(head, _PROJECTIONS)):
-        p = table[k + 1]
-        gamma = at(head, _GAMMA) + k
-        if at(p, _HELD):
-            gain, decay = at(head, _GAIN) + k, at(head, _DECAY) + k
-            z_input, w_input = at(head, _Z_INPUT) + at(p, _ROW), at(head, _W_INPUT) + at(p, _ROW)
-            for lane in range(lanes):
-                state[gain, lane] += state[gamma, lane] * state[reward, lane] * state[decay, lane]
-            for i in range(at(p, _POST_SIZE)):
-                for lane in range(lanes):
-                    state[w_input + i, lane] += (
-                        state[gamma, lane] * state[reward, lane] * state[z_input + i, lane]
-                    )
-        else:
-            w, z = at(head, _W) + at(p, _SYNAPSE), at(head, _Z) + at(p, _SYNAPSE)
-            for s in range(at(p, _POST_SIZE) * at(p, _PRE_SIZE)):
-                for lane in range(lanes):
-                    state[w + s, lane] += (
-                        state[gamma, lane] * state[reward, lane] * state[z + s, lane]
-                    )
+    if fresh:
+        for j in range(at(head, INPUTS)):
+            x, before = (
+                row(state, at(head, INPUT) + j, width),
+                row(state, at(head, INPUT_BEFORE) + j, width),
+            )
+            for lane in range(count(state, width)):
+                before[lane] = x[lane]
+    _potentials(state, table, width)
+    _fire(state, table, width, words, keys, step, low, high, clamped)
+    _remember(state, table, width)
 
 
 @inlined
-def _changed(state, table, observation, lane):  # type: ignore[no-untyped-def]
-    u = at(table[0], _U)
-    for j in range(at(table[0], _INPUTS)):
-        if state[u + j, lane] != observation[j, lane]:
+def _potentials(state, table, width):  # type: ignore[no-untyped-def]
+    """Equation (potential) for every neuron."""
+    head = table[0]
+    for i in range(at(head, NEURONS)):
+        v = row(state, at(head, FIRST_NEURON) + i * A_NEURON + V, width)
+        for lane in range(count(state, width)):
+            v[lane] = 0.0
+    for k in range(at(head, PROJECTIONS)):
+        p, q = table[k + 1], at(head, FIRST_PROJECTION) + k * A_PROJECTION
+        for i in range(at(p, _POST_SIZE)):
+            v = row(state, at(p, _POST) + i * A_NEURON + V, width)
+            if at(p, _IS_HELD):
+                h = at(p, _HELD) + i * _A_HELD
+                gain, x_squared = row(state, q + GAIN, width), row(state, q + X_SQUARED, width)
+                w_input = row(state, h + W_INPUT, width)
+                w_drive, z_drive = row(state, h + W_DRIVE, width), row(state, h + Z_DRIVE, width)
+                for lane in range(count(state, width)):
+                    v[lane] += (
+                        w_drive[lane] + gain[lane] * z_drive[lane] + w_input[lane] * x_squared[lane]
+                    )
+            else:
+                for j in range(at(p, _PRE_SIZE)):
+                    y = at(p, _SYNAPSE) + (i * at(p, _PRE_SIZE) + j) * _A_SYNAPSE
+                    w, u = (
+                        row(state, y + W, width),
+                        row(state, at(p, _PRE) + j * A_NEURON + U, width),
+                    )
+                    for lane in range(count(state, width)):
+                        v[lane] += w[lane] * u[lane]
+
+
+@inlined
+def _fire(state, table, width, words, keys, step, low, high, clamped):  # type: ignore[no-untyped-def]
+    """Equation (neuron): who fires. One random number per neuron and step, clamped or not."""
+    neurons, first = at(table[0], NEURONS), at(table[0], FIRST_NEURON)
+    blocks = (neurons + BLOCK - 1) // BLOCK
+    for block in range(0, blocks, 2):
+        if block + 1 < blocks:
+            _draw_two(state, words, width, keys, step, block)
+        else:
+            _draw_one(state, words, width, keys, step, block)
+        for k in range(min(2 * BLOCK, neurons - BLOCK * block)):
+            n = first + (BLOCK * block + k) * A_NEURON
+            _spike(state, n, width, row(words, k, width), low, high)
+            if clamped:
+                _force(state, n, width, low, high)
+
+
+@inlined
+def _draw_one(state, words, width, keys, step, block):  # type: ignore[no-untyped-def]
+    """A block of random numbers."""
+    seed, number = row(keys, 0, width), row(keys, 1, width)
+    w0, w1 = row(words, 0, width), row(words, 1, width)
+    w2, w3 = row(words, 2, width), row(words, 3, width)
+    for lane in range(count(state, width)):
+        w0[lane], w1[lane], w2[lane], w3[lane] = four_words(
+            seed[lane], number[lane], SPIKES, step, block
+        )
+
+
+@inlined
+def _draw_two(state, words, width, keys, step, block):  # type: ignore[no-untyped-def]
+    """Two blocks of random numbers."""
+    seed, number = row(keys, 0, width), row(keys, 1, width)
+    w0, w1 = row(words, 0, width), row(words, 1, width)
+    w2, w3 = row(words, 2, width), row(words, 3, width)
+    w4, w5 = row(words, 4, width), row(words, 5, width)
+    w6, w7 = row(words, 6, width), row(words, 7, width)
+    for lane in range(count(state, width)):
+        first, second = eight_words(seed[lane], number[lane], SPIKES, step, block)
+        w0[lane], w1[lane], w2[lane], w3[lane] = first
+        w4[lane], w5[lane], w6[lane], w7[lane] = second
+
+
+@inlined
+def _spike(state, n, width, word, low, high):  # type: ignore[no-untyped-def]
+    """Let the neuron of record n fire with probability σ(v)."""
+    kind = state.dtype.type
+    silent, apart, one, zero = kind(low), kind(high - low), kind(1), kind(0)
+    u, before, v = row(state, n + U, width), row(state, n + BEFORE, width), row(state, n + V, width)
+    surprise = row(state, n + SURPRISE, width)
+    for lane in range(count(state, width)):
+        expected = sigmoid(v[lane])
+        fires = one if unit(word[lane], zero) < expected else zero
+        surprise[lane] = fires - expected
+        before[lane] = u[lane]
+        u[lane] = silent + fires * apart
+
+
+@inlined
+def _force(state, n, width, low, high):  # type: ignore[no-untyped-def]
+    """Make it fire or not where it is clamped."""
+    kind = state.dtype.type
+    u, v, clamp = row(state, n + U, width), row(state, n + V, width), row(state, n + CLAMP, width)
+    surprise = row(state, n + SURPRISE, width)
+    for lane in range(count(state, width)):
+        if not np.isnan(clamp[lane]):
+            surprise[lane] = clamp[lane] - sigmoid(v[lane])
+            u[lane] = kind(low) + clamp[lane] * kind(high - low)
+
+
+@inlined
+def _remember(state, table, width):  # type: ignore[no-untyped-def]
+    """Equation (neuron-zupdate) for every synapse, from the activities of the step before."""
+    for k in range(at(table[0], PROJECTIONS)):
+        p, q = table[k + 1], at(table[0], FIRST_PROJECTION) + k * A_PROJECTION
+        beta, decay = row(state, q + BETA, width), row(state, q + DECAY, width)
+        if at(p, _IS_HELD):
+            for lane in range(count(state, width)):
+                decay[lane] *= beta[lane]
+        for i in range(at(p, _POST_SIZE)):
+            surprise = row(state, at(p, _POST) + i * A_NEURON + SURPRISE, width)
+            if at(p, _IS_HELD):
+                z_input = row(state, at(p, _HELD) + i * _A_HELD + Z_INPUT, width)
+                for lane in range(count(state, width)):
+                    z_input[lane] = beta[lane] * z_input[lane] + surprise[lane]
+            else:
+                for j in range(at(p, _PRE_SIZE)):
+                    y = at(p, _SYNAPSE) + (i * at(p, _PRE_SIZE) + j) * _A_SYNAPSE
+                    z, u = (
+                        row(state, y + Z, width),
+                        row(state, at(p, _PRE) + j * A_NEURON + BEFORE, width),
+                    )
+                    for lane in range(count(state, width)):
+                        z[lane] = beta[lane] * z[lane] + surprise[lane] * u[lane]
+
+
+@inlined
+def reinforce(state, table, width):  # type: ignore[no-untyped-def]
+    """Equation (neuron-update) for every synapse, with the broadcast reward of this step."""
+    reward = row(state, at(table[0], REWARD) + 1, width)
+    for k in range(at(table[0], PROJECTIONS)):
+        p, q = table[k + 1], at(table[0], FIRST_PROJECTION) + k * A_PROJECTION
+        gamma, push = row(state, q + GAMMA, width), row(state, q + PUSH, width)
+        for lane in range(count(state, width)):
+            push[lane] = gamma[lane] * reward[lane]
+        if at(p, _IS_HELD):
+            gain, decay = row(state, q + GAIN, width), row(state, q + DECAY, width)
+            for lane in range(count(state, width)):
+                gain[lane] += push[lane] * decay[lane]
+            for i in range(at(p, _POST_SIZE)):
+                h = at(p, _HELD) + i * _A_HELD
+                w_input, z_input = row(state, h + W_INPUT, width), row(state, h + Z_INPUT, width)
+                for lane in range(count(state, width)):
+                    w_input[lane] += push[lane] * z_input[lane]
+        else:
+            for i in range(at(p, _POST_SIZE) * at(p, _PRE_SIZE)):
+                y = at(p, _SYNAPSE) + i * _A_SYNAPSE
+                w, z = row(state, y + W, width), row(state, y + Z, width)
+                for lane in range(count(state, width)):
+                    w[lane] += push[lane] * z[lane]
+
+
+@inlined
+def hold(state, table, width, observation):  # type: ignore[no-untyped-def]
+    """Set the input values to `observation` (inputs, width); fold the lanes where they changed."""
+    changed = 0
+    for lane in range(count(state, width)):
+        if _has_changed(state, table, width, observation, lane):
+            changed += 1
+    if changed == width:
+        _take_in(state, table, width, observation, 0, count(state, width))
+    elif changed > 0:
+        for lane in range(count(state, width)):
+            if _has_changed(state, table, width, observation, lane):
+                _take_in(state, table, width, observation, lane, lane + 1)
+
+
+@inlined
+def _has_changed(state, table, width, observation, lane):  # type: ignore[no-untyped-def]
+    kind = state.dtype.type
+    for j in range(at(table[0], INPUTS)):
+        seen = kind(row(observation, j, width)[lane])
+        if row(state, at(table[0], INPUT) + j, width)[lane] != seen:
             return True
     return False
 
 
 @inlined
-def _fold(state, table, observation, k, lane):  # type: ignore[no-untyped-def]
+def _take_in(state, table, width, observation, first, end):  # type: ignore[no-untyped-def]
+    """New input in the lanes from `first` to before `end`."""
+    for k in range(at(table[0], PROJECTIONS)):
+        if at(table[k + 1], _IS_HELD):
+            _fold(state, table, width, observation, k, first, end)
+    for j in range(at(table[0], INPUTS)):
+        x, new = row(state, at(table[0], INPUT) + j, width), row(observation, j, width)
+        for lane in range(first, end):
+            x[lane] = new[lane]
+
+
+@inlined
+def _fold(state, table, width, observation, k, first, end):  # type: ignore[no-untyped-def]
     """Put the sums of projection k back into its synapses, then start anew with the new x."""
-    head = table[0]
-    p = table[k + 1]
-    pre, pre_size = at(p, _PRE), at(p, _PRE_SIZE)
-    u = at(head, _U) + pre
-    decay, gain = state[at(head, _DECAY) + k, lane], state[at(head, _GAIN) + k, lane]
-    w, z = at(head, _W) + at(p, _SYNAPSE), at(head, _Z) + at(p, _SYNAPSE)
+    kind = state.dtype.type
+    p, q = table[k + 1], at(table[0], FIRST_PROJECTION) + k * A_PROJECTION
+    pre, first_x = at(p, _PRE_SIZE), at(p, _PRE)
+    first_new = first_x - at(table[0], INPUT)
+    decay, gain = row(state, q + DECAY, width), row(state, q + GAIN, width)
+    x_squared = row(state, q + X_SQUARED, width)
     for i in range(at(p, _POST_SIZE)):
-        row = at(p, _ROW) + i
-        z_input, w_input = (
-            state[at(head, _Z_INPUT) + row, lane],
-            state[at(head, _W_INPUT) + row, lane],
-        )
-        w_drive = z_drive = 0.0
-        for j in range(pre_size):
-            x = state[u + j, lane]
-            z_old = state[z, lane]
-            state[w, lane] += gain * z_old + w_input * x
-            state[z, lane] = decay * z_old + z_input * x
-            w_drive += state[w, lane] * observation[pre + j, lane]
-            z_drive += state[z, lane] * observation[pre + j, lane]
-            w += 1
-            z += 1
-        state[at(head, _Z_INPUT) + row, lane] = 0.0
-        state[at(head, _W_INPUT) + row, lane] = 0.0
-        state[at(head, _W_DRIVE) + row, lane] = w_drive
-        state[at(head, _Z_DRIVE) + row, lane] = z_drive
-    square = 0.0
-    for j in range(pre_size):
-        square += observation[pre + j, lane] * observation[pre + j, lane]
-    state[at(head, _X_SQUARED) + k, lane] = square
-    state[at(head, _DECAY) + k, lane] = 1.0
-    state[at(head, _GAIN) + k, lane] = 0.0
-
-
-@compiled
-def hold(state, table, observation):  # type: ignore[no-untyped-def]
-    """Set the input values to `observation` (inputs, lanes); fold the lanes where they changed."""
-    for lane in range(state.shape[1]):
-        if _changed(state, table, observation, lane):
-            for k in range(at(table[0], _PROJECTIONS)):
-                if at(table[k + 1], _HELD):
-                    _fold(state, table, observation, k, lane)
-            for j in range(at(table[0], _INPUTS)):
-                state[at(table[0], _U) + j, lane] = observation[j, lane]
+        h = at(p, _HELD) + i * _A_HELD
+        z_input, w_input = row(state, h + Z_INPUT, width), row(state, h + W_INPUT, width)
+        w_drive, z_drive = row(state, h + W_DRIVE, width), row(state, h + Z_DRIVE, width)
+        for lane in range(first, end):
+            w_drive[lane] = z_drive[lane] = 0.0
+        for j in range(pre):
+            y = at(p, _SYNAPSE) + (i * pre + j) * _A_SYNAPSE
+            w, z = row(state, y + W, width), row(state, y + Z, width)
+            x, new = row(state, first_x + j, width), row(observation, first_new + j, width)
+            for lane in range(first, end):
+                w[lane] += gain[lane] * z[lane] + w_input[lane] * x[lane]
+            for lane in range(first, end):
+                z[lane] = decay[lane] * z[lane] + z_input[lane] * x[lane]
+            for lane in range(first, end):
+                w_drive[lane] += w[lane] * kind(new[lane])
+                z_drive[lane] += z[lane] * kind(new[lane])
+        for lane in range(first, end):
+            z_input[lane] = w_input[lane] = 0.0
+    for lane in range(first, end):
+        x_squared[lane] = gain[lane] = 0.0
+        decay[lane] = 1.0
+    for j in range(pre):
+        new = row(observation, first_new + j, width)
+        for lane in range(first, end):
+            x_squared[lane] += new[lane] * kind(new[lane])

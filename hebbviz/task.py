@@ -230,6 +230,10 @@ class Task:
         """The state after a button of `controls` was pressed."""
         return state
 
+    def in_lanes(self) -> Task:
+        """The same world compiled, for many lanes at once; itself where there is no other."""
+        return self
+
     # What is seen of it
 
     def pose(self, state: Array) -> Pose:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -91,12 +92,12 @@ class Topology:
     def neuron_groups(self) -> tuple[Group, ...]:
         return tuple(g for g in self.groups if not g.is_input)
 
-    @property
+    @cached_property
     def inputs(self) -> int:
         """Number of input units."""
         return sum(g.size for g in self.input_groups)
 
-    @property
+    @cached_property
     def neurons(self) -> int:
         """Number of spiking neurons."""
         return sum(g.size for g in self.neuron_groups)

@@ -7,8 +7,6 @@ counts.
 
 from __future__ import annotations
 
-import importlib.util
-import inspect
 import math
 import os
 import time
@@ -28,6 +26,7 @@ from sims.pendulum import Pendulum
 from sims.sonar import Sonar
 
 LANES = 64
+PRECISIONS: tuple[Any, ...] = (np.float64, np.float32)
 TURN_SECONDS = 0.04
 """The first turn is one step, and each is four times the one before until it takes about this."""
 FEWEST_TURNS = 12
@@ -128,7 +127,7 @@ def contestants() -> list[Contestant]:
     sonar, cores = Sonar("paper"), core_count()
     found = [reference(sonar, "reference", "NumPy reference")]
     found.append(lanes(sonar, "one_lane", "compiled, one lane", 1))
-    for dtype in _precisions():
+    for dtype in PRECISIONS:
         name = np.dtype(dtype).name
         found.append(lanes(sonar, f"lanes_{name}", f"{LANES} lanes, {name}", LANES, dtype=dtype))
         if cores > 1:
@@ -141,9 +140,8 @@ def lanes(
     task: Task, key: str, name: str, count: int, *, dtype: Any = np.float64, threads: int = 1
 ) -> Contestant:
     """`count` lanes in each of `threads` threads."""
-    precision = {} if dtype is np.float64 else {"dtype": dtype}
     learners = [
-        Learner(task, lanes=count, first_lane=k * count, **precision) for k in range(threads)
+        Learner(task, lanes=count, first_lane=k * count, dtype=dtype) for k in range(threads)
     ]
     synapses = learners[0].topology.synapses
     if threads == 1:
@@ -159,16 +157,10 @@ def lanes(
 
 def pendulums() -> Iterator[Contestant]:
     """The world in pymunk, and the compiled one."""
-    yield lanes(Pendulum("raw"), "pymunk", "pendulum, in pymunk", 1)
-    if importlib.util.find_spec("sims.pendulum_lanes"):
-        compiled = importlib.import_module("sims.pendulum_lanes").PendulumLanes("raw")
-        words = f"pendulum, compiled, {LANES} lanes"
-        yield lanes(compiled, "pendulum_lanes", words, LANES, dtype=_precisions()[-1])
-
-
-def _precisions() -> tuple[Any, ...]:
-    with_float32 = "dtype" in inspect.signature(Learner).parameters
-    return (np.float64, np.float32) if with_float32 else (np.float64,)
+    world = Pendulum("raw")
+    yield lanes(world, "pymunk", "pendulum, in pymunk", 1)
+    words = f"pendulum, compiled, {LANES} lanes"
+    yield lanes(world.in_lanes(), "pendulum_lanes", words, LANES, dtype=PRECISIONS[-1])
 
 
 def reference(task: Task, key: str, name: str) -> Contestant:

@@ -214,7 +214,7 @@ class Run:
     @property
     def moment_size(self) -> int:
         """Bytes of a moment, about."""
-        return self.learner.network.nbytes
+        return self.learner.nbytes
 
     def replay(self, moment: Moment, until: Moment | None = None) -> Replay:
         """Make the run again from a moment of it, with no change that came after `until`."""

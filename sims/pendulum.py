@@ -124,12 +124,18 @@ class Pendulum(Task):
     def read(self, states: Array) -> Array:
         return np.column_stack((_tilt(states[:, 6]), states[:, :2], states[:, 10:12]))
 
+    def in_lanes(self) -> Task:
+        from sims.pendulum_lanes import PendulumLanes  # noqa: PLC0415  # it is made of this class
+
+        return PendulumLanes(self.preset_name)
+
     def __reduce__(self) -> tuple[Any, ...]:
-        return Pendulum, (self.preset_name,)
+        return type(self), (self.preset_name,)
 
 
-_SEEN = [0, 1, 2, 3, 4, 5, 7, 8]
+SEEN = (0, 1, 2, 3, 4, 5, 7, 8)
 """Position, velocity, horizontal part of the rod and of its rate, in the ten numbers."""
+_SEEN = np.array(SEEN)
 
 
 def _poses(states: Array) -> tuple[Array, Array, Array]:

@@ -59,6 +59,9 @@ class Plant:
 
 PLANT = Plant()
 
+FARTHEST = PLANT.side / 2 - PLANT.puck_radius
+"""How far the puck's centre gets on an axis, in m."""
+
 # Compiled code takes plain numbers in as constants.
 _M = PLANT.puck_mass
 _m = PLANT.bob_mass
@@ -68,7 +71,7 @@ _mu = PLANT.friction
 _smoothing = PLANT.friction_smoothing
 _dt = PLANT.time_step
 _spread = PLANT.restart_spread
-_limit = PLANT.side / 2 - PLANT.puck_radius  # farthest the puck's centre gets on an axis, m
+_limit = FARTHEST
 
 _jit = njit(cache=True, nogil=True, error_model="numpy")
 

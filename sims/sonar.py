@@ -19,6 +19,7 @@ from numba import cfunc, njit
 from numpy.typing import NDArray
 
 from hebbviz.chance import WORLD, Draws, four_uniforms
+from hebbviz.compiled import row
 from hebbviz.engine import WORLD as WORLD_SIGNATURE
 from hebbviz.learner import Learner
 from hebbviz.task import CompiledTask, Input, Measure, Output, Pose, Preset, Reading, Score, Tally
@@ -60,14 +61,29 @@ def _shuffle(world, lane, seed, number, step):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _transition(world, lane, data, action, seed, number, step):  # type: ignore[no-untyped-def]
-    """Judge the prediction; after HOLD steps go to the next pattern, shuffling each epoch."""
-    shown = np.int64(world[_PATTERN, lane])
-    world[_PREDICTION, lane] = action
-    world[_RIGHT, lane] = 1.0 if action == data[shown, ENERGIES] else 0.0
-    world[_TICK, lane] += 1.0
-    if world[_TICK, lane] < HOLD:
-        return False
+def _judge(world, data, action):  # type: ignore[no-untyped-def]
+    """Whether the predictions (lanes,) are right, and a tick; True where a pattern has been seen
+    long enough.
+    """
+    lanes = world.shape[1]
+    prediction, right = row(world, _PREDICTION, lanes), row(world, _RIGHT, lanes)
+    pattern, tick = row(world, _PATTERN, lanes), row(world, _TICK, lanes)
+    for lane in range(lanes):
+        prediction[lane] = action[lane]
+    for lane in range(lanes):
+        truth = data[ENERGIES, np.int64(pattern[lane])]
+        right[lane] = 1.0 if prediction[lane] == truth else 0.0
+    longest = 0.0
+    for lane in range(lanes):
+        tick[lane] += 1.0
+    for lane in range(lanes):
+        longest = max(longest, tick[lane])
+    return longest >= HOLD
+
+
+@njit(cache=True, error_model="numpy")
+def _turn(world, lane, seed, number, step):  # type: ignore[no-untyped-def]
+    """Go to the next pattern, shuffling each epoch."""
     world[_TICK, lane] = 0.0
     world[_INDEX, lane] += 1.0
     if world[_INDEX, lane] == world[_LENGTH, lane]:
@@ -76,28 +92,31 @@ def _transition(world, lane, data, action, seed, number, step):  # type: ignore[
         if world[_SHUFFLES, lane] == 1.0:
             _shuffle(world, lane, seed, number, step)
     world[_PATTERN, lane] = world[_ORDER + np.int64(world[_INDEX, lane]), lane]
-    return True
 
 
 @njit(cache=True, error_model="numpy")
 def _observation(world, lane, data, observation):  # type: ignore[no-untyped-def]
     pattern = np.int64(world[_PATTERN, lane])
     for j in range(ENERGIES):
-        observation[j, lane] = data[pattern, j]
+        observation[j, lane] = data[j, pattern]
 
 
 @cfunc(WORLD_SIGNATURE, cache=True)
 def answer(world, action, data, keys, step, observation, reward, ended):  # type: ignore[no-untyped-def]
     """The world's step for all lanes, see `engine.WORLD`."""
-    changed = 0
-    for lane in range(world.shape[1]):
-        new = _transition(world, lane, data, action[0, lane], keys[0, lane], keys[1, lane], step)
-        reward[lane] = world[_RIGHT, lane]
+    lanes = world.shape[1]
+    is_over = _judge(world, data, row(action, 0, lanes))
+    right = row(world, _RIGHT, lanes)
+    for lane in range(lanes):
+        reward[lane] = right[lane]
+    for lane in range(lanes):
         ended[lane] = 0.0
-        if new:
-            changed = 1
-            _observation(world, lane, data, observation)
-    return changed
+    if is_over:
+        for lane in range(lanes):
+            if world[_TICK, lane] >= HOLD:
+                _turn(world, lane, keys[0, lane], keys[1, lane], step)
+                _observation(world, lane, data, observation)
+    return 1 if is_over else 0
 
 
 class Sonar(CompiledTask):
@@ -125,8 +144,13 @@ class Sonar(CompiledTask):
     }
     answer = answer
 
+    def __init__(self, preset: str | None = None) -> None:
+        super().__init__(preset)
+        self._data = self.data()
+
     def data(self) -> Array:
-        return load()
+        """`load` with the patterns along the last axis: labels are looked up at every step."""
+        return np.ascontiguousarray(load().T)
 
     def restart(self, draws: Callable[[int], Array]) -> Array:
         """A random split into training and test set, and the first order of the former."""
@@ -135,8 +159,9 @@ class Sonar(CompiledTask):
     def transition(self, state: Array, action: Array, draws: Callable[[int], Array]) -> Array:
         assert isinstance(draws, Draws)
         world = state.reshape(-1, 1)
-        seed, lane = np.uint32(draws.seed), np.uint32(draws.lane)
-        _transition(world, 0, load(), action[0], seed, lane, np.int64(draws.step))
+        if _judge(world, self._data, action):
+            seed, lane = np.uint32(draws.seed), np.uint32(draws.lane)
+            _turn(world, 0, seed, lane, np.int64(draws.step))
         return world[:, 0]
 
     def observation(self, state: Array) -> Array:

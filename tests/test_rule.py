@@ -228,9 +228,9 @@ def test_and_exactly_so_in_expectation():
     terms = []
     for forced in (1.0, 0.0):
         learner.restore(moment)
-        learner.layout.section(learner.network, "clamp")[:] = forced
+        learner._put("clamp", forced)
         learner.advance(1)
-        terms.append(learner.layout.section(learner.network, "surprise").copy())
+        terms.append(learner._read("surprise"))
     chance = learner.frame().probability[:, None]
     assert np.array_equal(terms[0], 1.0 - chance)
     assert np.array_equal(terms[1], -chance)
@@ -246,7 +246,7 @@ def test_neurons_fire_with_probability_sigma():
     for _ in range(3):
         learner.skip(1)
         chance = sigma(learner.potentials)
-        fired = learner.layout.section(learner.network, "fired")
+        fired = learner.activities[-topology.neurons :] == topology.activity[1]
         error = np.sqrt((chance * (1.0 - chance)).sum(axis=1))
         assert np.all(np.abs((fired - chance).sum(axis=1)) < 4.5 * error)
 

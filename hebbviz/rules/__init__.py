@@ -18,7 +18,7 @@ from importlib import import_module
 from typing import Any, ClassVar
 
 import numpy as np
-from numba import cfunc, types
+from numba import cfunc, njit, types
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
@@ -75,8 +75,11 @@ class Rule:
     def constants(self) -> Array:
         return np.array([getattr(self, f.name) for f in dataclasses.fields(self)], dtype=float)
 
-    def compiled(self) -> Any:
-        """`modulate`, compiled. Raises ValueError if numba cannot do that."""
+    def compiled(self) -> tuple[Any, Any]:
+        """`modulate`, compiled: to be called by compiled code, and by Python.
+
+        Raises ValueError if numba cannot do that.
+        """
         try:
             return _compiled(type(self).modulate)
         except NumbaError as error:
@@ -90,8 +93,8 @@ class Rule:
 
 
 @cache
-def _compiled(modulate: Any) -> Any:
-    return cfunc(MODULATE, cache=True)(modulate)
+def _compiled(modulate: Any) -> tuple[Any, Any]:
+    return cfunc(MODULATE, cache=True)(modulate), njit(modulate)  # two caches of one would clash
 
 
 def _shortest(value: float) -> str:

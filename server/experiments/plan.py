@@ -66,8 +66,10 @@ class Plan:
         return self.segments * self.segment_steps
 
     def make_task(self) -> Task:
-        """The task at its preset; raises ValueError and TaskError as `make_task` does."""
-        return make_task(self.task, self.preset)
+        """The task at its preset, compiled where it can be; raises ValueError and TaskError as
+        `make_task` does.
+        """
+        return make_task(self.task, self.preset).in_lanes()
 
     def rule(self) -> Rule:
         """The rule of the options, or of the task's preset; raises as `make_rule`, `make_task`."""

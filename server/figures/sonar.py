@@ -57,7 +57,7 @@ def make(order: Order, work: Work) -> Sheet:
     plan = Plan(
         task="sonar", preset=order.preset or size.preset, seed=order.seed,
         lanes=order.lanes or size.lanes, segments=segments, segment_steps=epochs * EPOCH,
-        evaluate=1,
+        evaluate=1, options={"dtype": "float32"},
     )  # fmt: skip
     plan.make_task()
     (curves,) = work.curves([plan])

@@ -1,0 +1,243 @@
+"""A tile: up to 64 lanes of a network that are stepped together, the arrays the engine works on.
+
+A tile is as wide as one of `layout.WIDTHS`. Lanes that nobody asked for idle beside the others as
+copies of the last one with random numbers of their own; from outside they are not seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz import held
+from hebbviz.chance import SPIKES, uniforms
+from hebbviz.engine import FALL_EVERY, engine, probabilities
+from hebbviz.layout import WIDTHS, Layout, aligned, width_for
+from hebbviz.rules import Rule
+from hebbviz.rules.paper import PAPER
+
+Array = NDArray[np.float64]
+
+NOBODY = -1
+"""In place of a watched lane: nothing is noted."""
+
+
+class Notes(NamedTuple):
+    """What the engine writes of each step: fired, rewards, and if asked for v and the world."""
+
+    fired: NDArray[np.uint8]
+    rewards: Array
+    potentials: Array
+    worlds: Array
+
+    @classmethod
+    def of(cls, steps: int, neurons: int, numbers: int | None) -> Notes:
+        """Room for `steps`; `numbers` of the world's state, None if v and state are not asked."""
+        near = 0 if numbers is None else steps
+        return cls(
+            np.zeros((steps, neurons), dtype=np.uint8), np.zeros((steps, 3)),
+            np.zeros((near, neurons)), np.zeros((near, numbers or 0)),
+        )  # fmt: skip
+
+
+class Sums(NamedTuple):
+    """What the engine sums up over steps: spikes, least and greatest v and z, rows of probes."""
+
+    counts: NDArray[np.int64]
+    extremes: Array
+    probes: NDArray[np.int64]
+
+
+def cut(lanes: int) -> list[int]:
+    """How many lanes each tile has: as few tiles as do, as equal as can be."""
+    tiles = -(-lanes // WIDTHS[-1])
+    return [len(part) for part in np.array_split(np.arange(lanes), tiles)]
+
+
+class Tile:
+    """Lanes `first_lane` to `first_lane + lanes - 1` of a seed; float32 or float64."""
+
+    def __init__(
+        self, layout: Layout, *, seed: int, first_lane: int, lanes: int, dtype: type[np.floating]
+    ) -> None:  # fmt: skip
+        self.layout, self.first_lane, self.lanes = layout, first_lane, lanes
+        self.width = width_for(lanes)
+        self._engine = engine(self.width)
+        self.network: NDArray[Any] = layout.empty_state(self.width, dtype)
+        numbers = (first_lane + np.arange(self.width)) % 2**32
+        self._keys = np.stack([np.full(self.width, seed), numbers]).astype(np.uint32)
+        self.totals = aligned(3, self.width)
+        self.world = np.zeros((0, self.width))
+        self._gamma, self._fall = np.zeros((len(layout.topology.projections), self.width)), np.inf
+        self.reward, self.ended = np.zeros(self.width), np.zeros(self.width)
+        self._observed = aligned(layout.topology.inputs, self.width)
+        self._output = layout.where["activity"][layout.topology.units_of(layout.topology.output)]
+        self._clamped = False
+        self._responded: int | None = None
+        self._responded_before: int | None = None
+
+    # The rule
+
+    def set_rule(self, rule: Rule) -> None:
+        """Another rule, its memory empty; raises ValueError if it cannot be compiled."""
+        (self._modulate, self._modulate_now), self._constants = rule.compiled(), rule.constants
+        self._modulated = np.zeros(0 if rule == PAPER else self.width)
+        self.memory = np.zeros((len(rule.memory), self.lanes))
+        arrays = (self.network, self.totals, self.memory)
+        self._kept = [(np.empty_like(array), array) for array in arrays]
+
+    # Its numbers
+
+    def read(self, name: str) -> Array:
+        """A section that the state holds, (rows, lanes)."""
+        return self.layout.section(self.network, name)[:, : self.lanes].astype(np.float64)
+
+    def read_lane(self, name: str, lane: int) -> Array:
+        """The same of one lane, (rows,)."""
+        return np.array(self.network[self.layout.where[name], lane], dtype=np.float64)
+
+    def spikes(self) -> dict[str, Array]:
+        """The sections `probability`, `draw` and `fired` of the last step, (rows, lanes)."""
+        neurons = self.layout.topology.neurons
+        if self._responded is None:
+            nothing = np.zeros((neurons, self.lanes))
+            none = np.zeros((self.layout.draws, self.lanes))
+            return {"probability": nothing, "draw": none, "fired": nothing}
+        potential = self.layout.section(self.network, "potential")[:, : self.lanes]
+        activity = self.read("activity")[-neurons:]
+        draws = [
+            uniforms(self.layout.draws, seed=int(seed), lane=int(number), purpose=SPIKES,
+                     step=self._responded)
+            for seed, number in self._keys.T[: self.lanes]
+        ]  # fmt: skip
+        return {
+            "probability": probabilities(potential).astype(np.float64),
+            "draw": np.stack(draws, axis=1),
+            "fired": (activity == self.layout.topology.activity[1]).astype(np.float64),
+        }
+
+    def put(self, name: str, values: Array | float) -> None:
+        """Set a section: a number, or (rows, lanes)."""
+        self.layout.put(self.network, name, self._to_width(values))
+        if name == "clamp":
+            self._clamped = not np.isnan(values).all()
+
+    def synapses(self) -> tuple[Array, Array]:
+        """w and z as they are now, each (synapses, lanes)."""
+        lanes = self.network[:, : self.lanes].astype(np.float64)
+        return held.unfolded(self.layout, lanes)
+
+    def synapses_of(self, lane: int) -> tuple[Array, Array]:
+        """w and z of one lane, each (synapses,)."""
+        weight, trace = held.unfolded(
+            self.layout, self.network[:, lane : lane + 1].astype(np.float64)
+        )
+        return weight[:, 0], trace[:, 0]
+
+    def set_synapses(self, weights: Array, traces: Array) -> None:
+        """Put (synapses, lanes) in place of what there is."""
+        self.put("weight", weights)
+        self.put("trace", traces)
+        held.refold(self.layout, self.network)
+
+    def pack(self) -> Array:
+        """All of it in the order of `layout.SECTIONS`, (rows, lanes)."""
+        absent = self.spikes() | {"tally": self.totals[:, : self.lanes]}
+        return self.layout.pack(self.network[:, : self.lanes], absent)
+
+    def unpack(self, packed: Array, step: int) -> None:
+        """The inverse of `pack`, before the step of that number."""
+        packed = self._to_width(packed)
+        self.layout.unpack(packed, self.network)
+        rows = self.layout.packed
+        self.totals[:] = packed[rows["tally"]]
+        self._clamped = not np.isnan(packed[rows["clamp"]]).all()
+        self._responded = step - 1 if packed[rows["draw"]].any() else None
+        self._look_again()
+
+    def _look_again(self) -> None:
+        self._observed[:] = self.network[self.layout.where["activity"][: len(self._observed)]]
+
+    def _to_width(self, values: Array | float) -> Any:
+        """For the lanes that idle, what the last one has."""
+        if np.ndim(values) == 0:
+            return values
+        return np.pad(values, ((0, 0), (0, self.width - self.lanes)), mode="edge")
+
+    # Steps
+
+    def see(self, observation: Array) -> None:
+        """Set the input values, (inputs, lanes)."""
+        self._observed[:] = self._to_width(observation)
+        self._engine.hold(self.network, self.layout.table, self._observed)
+
+    def put_gamma(self, gamma: Array, step: int, fall: float) -> None:
+        """Put γ (projections, lanes) in force as it is at this step, falling over `fall` steps."""
+        self._gamma[:], self._fall = self._to_width(gamma), fall
+        since = step - step % FALL_EVERY
+        self.layout.put(self.network, "gamma", self._gamma / (1.0 + since / fall))
+
+    def put_world(self, world: Array) -> None:
+        """The state of a compiled world, (numbers, lanes)."""
+        self.world = aligned(len(world), self.width)
+        self.world[:] = self._to_width(world)
+
+    def run(
+        self, steps: int, start: int, answer: Any, data: Array, *, instead: Array, watch: int,
+        notes: Notes, sums: Sums,
+    ) -> None:  # fmt: skip
+        """`steps` steps of a compiled world, the first of them number `start`."""
+        self._engine.run(
+            steps, start, answer, self.network, self.layout.table, self._keys,
+            *self.layout.topology.activity, self._clamped, self.totals, self.world, data,
+            self._observed, self._gamma, self._fall, self._modulate, self.memory, self._constants,
+            self._modulated, instead, watch, *notes, *sums,
+        )  # fmt: skip
+        if steps > 0:
+            self._responded = start + steps - 1
+
+    def respond(self, step: int) -> Array:
+        """What the outputs do at this step of a world in Python, (outputs, lanes)."""
+        for kept, now in self._kept:
+            np.copyto(kept, now)
+        self._responded_before = self._responded
+        self._engine.respond(
+            self.network, self.layout.table, self._keys, step, *self.layout.topology.activity,
+            self._clamped,
+        )  # fmt: skip
+        self._responded = step
+        return self.network[self._output, : self.lanes].astype(np.float64)
+
+    def settle(
+        self, observation: Sequence[Array], row: int, *, instead: Array, watch: int, notes: Notes,
+        sums: Sums,
+    ) -> bool:  # fmt: skip
+        """All that follows the world's answer, which is in `reward` and `ended` besides.
+
+        False if it is not finite; nothing has happened then but the response.
+        """
+        for lane, seen in enumerate(observation):
+            self._observed[:, lane] = seen
+        sent = self.reward
+        if len(self._modulated):
+            sent, lanes = self._modulated, slice(self.lanes)
+            self._modulate_now(
+                self.memory, self._constants, self.reward[lanes], self.ended[lanes], sent[lanes]
+            )
+        if len(instead):
+            sent = np.full(self.width, instead[row])
+        accepted: bool = self._engine.settle(
+            self.network, self.layout.table, self.layout.topology.activity[1], self.totals,
+            self._observed, self.reward, sent, self.ended, watch, row, *notes[:3], *sums,
+        )  # fmt: skip
+        return accepted
+
+    def back(self) -> None:
+        """As it was before `respond`."""
+        for kept, now in self._kept:
+            np.copyto(now, kept)
+        self._responded = self._responded_before
+        self._look_again()

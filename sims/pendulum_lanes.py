@@ -1,0 +1,110 @@
+"""The pendulum for many lanes at once: the equations of the pymunk world, without the engine.
+
+The same ten numbers, the same Runge-Kutta step, the same bounce. Where pymunk finds that the disc
+overlaps a wall, here its centre is compared with how far it may come; the two agree to rounding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numba import cfunc, njit
+from numpy.typing import NDArray
+
+from hebbviz.chance import NEXT_EPISODE, four_uniforms
+from hebbviz.compiled import row
+from hebbviz.engine import WORLD
+from hebbviz.task import CompiledTask
+from sims.pendulum import SEEN, Pendulum
+from sims.pendulum_physics import FARTHEST, PLANT, advance, fallen, rebound, restart, rk4
+
+Array = NDArray[np.float64]
+
+_thrust, _mu, _dt, _limit = PLANT.thrust, PLANT.friction, PLANT.time_step, FARTHEST
+_THRUST_X, _THRUST_Y = 10, 11
+
+_inlined = njit(forceinline=True, error_model="numpy")
+
+
+@_inlined
+def _move(world, width, action):  # type: ignore[no-untyped-def]
+    """All lanes through a time step as if there were no walls; several at once."""
+    x, y, vx, vy = (
+        row(world, 0, width),
+        row(world, 1, width),
+        row(world, 2, width),
+        row(world, 3, width),
+    )
+    nx, ny, nz = row(world, 4, width), row(world, 5, width), row(world, 6, width)
+    wx, wy, wz = row(world, 7, width), row(world, 8, width), row(world, 9, width)
+    fx, fy = row(world, _THRUST_X, width), row(world, _THRUST_Y, width)
+    ux, uy = row(action, 0, width), row(action, 1, width)
+    for k in range(width):
+        fx[k], fy[k] = _thrust * ux[k], _thrust * uy[k]
+        s = (x[k], y[k], vx[k], vy[k], nx[k], ny[k], nz[k], wx[k], wy[k], wz[k])
+        x[k], y[k], vx[k], vy[k], nx[k], ny[k], nz[k], wx[k], wy[k], wz[k] = rk4(
+            s, fx[k], fy[k], _mu, _dt
+        )
+
+
+@njit(cache=True, error_model="numpy")
+def _bounce(state):  # type: ignore[no-untyped-def]
+    """Off the walls that the puck of a state (numbers,) has come too near to, in place."""
+    for axis in range(2):
+        if abs(state[axis]) > _limit:
+            rebound(state, axis, -1.0 if state[axis] > 0.0 else 1.0)
+
+
+@_inlined
+def _step(world, width, action):  # type: ignore[no-untyped-def]
+    _move(world, width, action)
+    x, y = row(world, 0, width), row(world, 1, width)
+    for k in range(width):
+        if abs(x[k]) > _limit or abs(y[k]) > _limit:
+            state = world[:, k].copy()
+            _bounce(state)
+            world[:, k] = state
+
+
+@cfunc(WORLD, cache=True)
+def answer(world, action, data, keys, step, observation, reward, ended):  # type: ignore[no-untyped-def]
+    """The world's step for all lanes, see `engine.WORLD`; `data` (1, 8) holds the gains."""
+    lanes = world.shape[1]
+    if lanes == 1:  # constants let the compiler compute several lanes at once
+        _step(world, 1, action)
+    elif lanes == 16:
+        _step(world, 16, action)
+    elif lanes == 64:
+        _step(world, 64, action)
+    else:
+        _step(world, lanes, action)
+    for k in range(lanes):
+        down = fallen(world[:, k])
+        reward[k], ended[k] = (-1.0, 1.0) if down else (0.0, 0.0)
+        if down:
+            ux, uy, _, _ = four_uniforms(keys[0, k], keys[1, k], NEXT_EPISODE, step, 0)
+            again = restart(ux, uy)
+            for i in range(10):
+                world[i, k] = again[i]
+            world[_THRUST_X, k] = world[_THRUST_Y, k] = 0.0
+    for j in range(len(SEEN)):
+        for k in range(lanes):
+            observation[j, k] = data[0, j] * world[SEEN[j], k]
+    return 1
+
+
+class PendulumLanes(Pendulum, CompiledTask):
+    """`Pendulum`, compiled. Its state is the same; so each can go on from where the other was."""
+
+    answer = answer
+
+    def data(self) -> Array:
+        return self._gains[None]
+
+    def transition(self, state: Array, action: Array, draws: Callable[[int], Array]) -> Array:
+        following = np.empty(12)
+        following[10:] = PLANT.thrust * action
+        advance(state, following[10], following[11], following)
+        _bounce(following)
+        return following
