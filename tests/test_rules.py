@@ -170,7 +170,7 @@ def test_a_yoked_lane_is_sent_the_reward_of_the_next():
     learner = Learner(Lamps(), rule=Yoked(), lanes=3, seed=1)
     for _ in range(50):
         learner.advance(1)
-        raw, sent = learner._section("reward")
+        raw, sent = learner._read("reward")
         assert np.array_equal(sent, np.roll(raw, -1))
 
 
