@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +70,6 @@ def truth_of(task: Task, frame: Frame) -> GradientTruth | str | None:
         return str(error)
 
 
-@lru_cache(maxsize=8)
 def knows_its_truth(task: Task) -> bool:
     """Whether the true gradient of the task's own network is known: there are tabs for it then."""
     topology = task.topology()
@@ -104,6 +102,8 @@ class Estimating(Follower):
 
     def __init__(self) -> None:
         self.estimate: Estimate | None = None
+        self._task: Task | None = None
+        self._is_known = False
         self._earlier: list[AngleCurve] = []
         self._marks: list[_Mark] = []
         self._start = 0
@@ -112,7 +112,9 @@ class Estimating(Follower):
 
     def follow(self, task: Task, frame: Frame) -> None:
         """Take the weights of a frame, and note the angle if it is time for a point."""
-        if not knows_its_truth(task):
+        if task is not self._task:
+            self._task, self._is_known = task, knows_its_truth(task)
+        if not self._is_known:
             self._marks.clear()
             self.estimate = None
             return

@@ -144,7 +144,7 @@ BAD: dict[str, str] = {
     "--rule nowhere.py:Mine": "rule nowhere.py:Mine: there is no file nowhere.py",
     "--fall 0": "fall (the steps over which gamma falls) must be from 1",
     "--fall soon": "fall must be a number of steps or never, got 'soon'",
-    "train --steps 5 --task sonar --rule yoked --record {}/yoked.rrd": "holds one lane, got 2",
+    "train --steps 5 --task sonar --rule yoked --record {}/yoked.rrd": "a recording holds one lane",
     "--seed -1": "seed must be a whole number from 0 to 4294967295, got '-1'",
     "--seed 4294967296": "seed must be",
     "--seed 1.5": "seed must be",
