@@ -73,12 +73,12 @@ def _judge(world, data, action):  # type: ignore[no-untyped-def]
     for lane in range(lanes):
         truth = data[ENERGIES, np.int64(pattern[lane])]
         right[lane] = 1.0 if prediction[lane] == truth else 0.0
-    longest = 0.0
     for lane in range(lanes):
         tick[lane] += 1.0
+    over = 0
     for lane in range(lanes):
-        longest = max(longest, tick[lane])
-    return longest >= HOLD
+        over += 1 if tick[lane] >= HOLD else 0
+    return over > 0
 
 
 @njit(cache=True, error_model="numpy")
