@@ -76,10 +76,10 @@ HEADER = (
 """Columns of the first row of the table: how many, then first rows. Then one row of COLUMNS per
 projection."""
 
-COLUMNS = ("pre", "pre_size", "post", "post_size", "synapse", "is_held", "held")
+COLUMNS = ("pre", "pre_size", "post", "post_size", "synapse", "is_held", "held", "is_first")
 """First presynaptic row (of an input, or of a neuron's record), how many, first postsynaptic
 neuron's record, how many, first synapse's record, whether the presynaptic values are held input,
-first record of the held sums."""
+first record of the held sums, whether it is the first one onto its group."""
 
 
 CACHE_LINE = 64
@@ -205,7 +205,8 @@ class Layout:
                 else neuron(t.neurons_of(p.pre).start)
             )
             ends = (first, pre, neuron(t.neurons_of(p.post).start), post)
-            table[k + 1, : len(COLUMNS)] = (*ends, synapse, t.is_held(p), held)
+            is_first = p.post not in {before.post for before in t.projections[:k]}
+            table[k + 1, : len(COLUMNS)] = (*ends, synapse, t.is_held(p), held, is_first)
             synapse += post * pre * len(SYNAPSE)
             held += post * len(HELD)
         return table

@@ -42,7 +42,7 @@ BETA, GAMMA, DECAY, GAIN, X_SQUARED, PUSH = range(len(PROJECTION))
 Z_INPUT, W_INPUT, W_DRIVE, Z_DRIVE = range(len(HELD))
 W, Z = range(len(SYNAPSE))
 WIDEST = WIDTHS[-1]
-_PRE, _PRE_SIZE, _POST, _POST_SIZE, _SYNAPSE, _IS_HELD, _HELD = range(len(COLUMNS))
+_PRE, _PRE_SIZE, _POST, _POST_SIZE, _SYNAPSE, _IS_HELD, _HELD, _IS_FIRST = range(len(COLUMNS))
 
 A_NEURON, A_PROJECTION, _A_HELD, _A_SYNAPSE = (
     len(record) for record in (NEURON, PROJECTION, HELD, SYNAPSE)
@@ -89,33 +89,44 @@ def respond(state, table, width, words, keys, step, low, high, clamped, fresh): 
 @inlined
 def _potentials(state, table, width):  # type: ignore[no-untyped-def]
     """Equation (potential) for every neuron."""
-    head = table[0]
-    for i in range(at(head, NEURONS)):
-        v = row(state, at(head, FIRST_NEURON) + i * A_NEURON + V, width)
-        for lane in range(count(state, width)):
-            v[lane] = 0.0
-    for k in range(at(head, PROJECTIONS)):
-        p, q = table[k + 1], at(head, FIRST_PROJECTION) + k * A_PROJECTION
+    for k in range(at(table[0], PROJECTIONS)):
+        p, q = table[k + 1], at(table[0], FIRST_PROJECTION) + k * A_PROJECTION
         for i in range(at(p, _POST_SIZE)):
             v = row(state, at(p, _POST) + i * A_NEURON + V, width)
-            if at(p, _IS_HELD):
-                h = at(p, _HELD) + i * _A_HELD
-                gain, x_squared = row(state, q + GAIN, width), row(state, q + X_SQUARED, width)
-                w_input = row(state, h + W_INPUT, width)
-                w_drive, z_drive = row(state, h + W_DRIVE, width), row(state, h + Z_DRIVE, width)
+            if at(p, _IS_FIRST):
                 for lane in range(count(state, width)):
-                    v[lane] += (
-                        w_drive[lane] + gain[lane] * z_drive[lane] + w_input[lane] * x_squared[lane]
-                    )
+                    v[lane] = 0.0
+            if at(p, _IS_HELD):
+                _add_held(state, width, v, q, at(p, _HELD) + i * _A_HELD)
             else:
-                for j in range(at(p, _PRE_SIZE)):
-                    y = at(p, _SYNAPSE) + (i * at(p, _PRE_SIZE) + j) * _A_SYNAPSE
-                    w, u = (
-                        row(state, y + W, width),
-                        row(state, at(p, _PRE) + j * A_NEURON + U, width),
-                    )
-                    for lane in range(count(state, width)):
-                        v[lane] += w[lane] * u[lane]
+                y = at(p, _SYNAPSE) + i * at(p, _PRE_SIZE) * _A_SYNAPSE
+                _add_each(state, width, v, y, at(p, _PRE), at(p, _PRE_SIZE))
+
+
+@inlined
+def _add_held(state, width, v, q, h):  # type: ignore[no-untyped-def]
+    """What the held input adds to the potential of a neuron."""
+    gain, x_squared = row(state, q + GAIN, width), row(state, q + X_SQUARED, width)
+    w_input = row(state, h + W_INPUT, width)
+    w_drive, z_drive = row(state, h + W_DRIVE, width), row(state, h + Z_DRIVE, width)
+    for lane in range(count(state, width)):
+        v[lane] += w_drive[lane] + gain[lane] * z_drive[lane] + w_input[lane] * x_squared[lane]
+
+
+@inlined
+def _add_each(state, width, v, y, pre, pre_size):  # type: ignore[no-untyped-def]
+    """What `pre_size` neurons from record `pre` on add, by the synapses from record y on."""
+    for j in range(0, pre_size - 1, 2):  # two at a time: half as many passes over the lanes
+        s, n = y + j * _A_SYNAPSE, pre + j * A_NEURON
+        w0, u0 = row(state, s + W, width), row(state, n + U, width)
+        w1, u1 = row(state, s + _A_SYNAPSE + W, width), row(state, n + A_NEURON + U, width)
+        for lane in range(count(state, width)):
+            v[lane] = v[lane] + w0[lane] * u0[lane] + w1[lane] * u1[lane]
+    if pre_size % 2:
+        w = row(state, y + (pre_size - 1) * _A_SYNAPSE + W, width)
+        u = row(state, pre + (pre_size - 1) * A_NEURON + U, width)
+        for lane in range(count(state, width)):
+            v[lane] += w[lane] * u[lane]
 
 
 @inlined

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from hebbviz.chance import WORLD, Draws, four_uniforms
 from hebbviz.compiled import row
 from hebbviz.engine import WORLD as WORLD_SIGNATURE
+from hebbviz.layout import WIDTHS
 from hebbviz.learner import Learner
 from hebbviz.task import CompiledTask, Input, Measure, Output, Pose, Preset, Reading, Score, Tally
 
@@ -60,25 +61,30 @@ def _shuffle(world, lane, seed, number, step):  # type: ignore[no-untyped-def]
         world[_ORDER + other, lane] = kept
 
 
-@njit(cache=True, error_model="numpy")
-def _judge(world, data, action):  # type: ignore[no-untyped-def]
-    """Whether the predictions (lanes,) are right, and a tick; True where a pattern has been seen
-    long enough.
+@njit(forceinline=True, error_model="numpy")
+def _judge(world, width, data, action, reward, ended):  # type: ignore[no-untyped-def]
+    """Whether the predictions of all lanes are right, and a tick; True where a pattern has been
+    seen long enough.
     """
-    lanes = world.shape[1]
-    prediction, right = row(world, _PREDICTION, lanes), row(world, _RIGHT, lanes)
-    pattern, tick = row(world, _PATTERN, lanes), row(world, _TICK, lanes)
-    for lane in range(lanes):
-        prediction[lane] = action[lane]
-    for lane in range(lanes):
+    prediction, right = row(world, _PREDICTION, width), row(world, _RIGHT, width)
+    pattern, tick = row(world, _PATTERN, width), row(world, _TICK, width)
+    said = row(action, 0, width)
+    over = 0
+    for lane in range(width):
+        prediction[lane] = said[lane]
+    for lane in range(width):
         truth = data[ENERGIES, np.int64(pattern[lane])]
         right[lane] = 1.0 if prediction[lane] == truth else 0.0
-    for lane in range(lanes):
         tick[lane] += 1.0
-    over = 0
-    for lane in range(lanes):
         over += 1 if tick[lane] >= HOLD else 0
+    for lane in range(width):
+        reward[lane], ended[lane] = right[lane], 0.0
     return over > 0
+
+
+@njit(cache=True, error_model="numpy")
+def _judge_one(world, data, action):  # type: ignore[no-untyped-def]
+    return _judge(world, 1, data, action, np.empty(1), np.empty(1))
 
 
 @njit(cache=True, error_model="numpy")
@@ -105,12 +111,10 @@ def _observation(world, lane, data, observation):  # type: ignore[no-untyped-def
 def answer(world, action, data, keys, step, observation, reward, ended):  # type: ignore[no-untyped-def]
     """The world's step for all lanes, see `engine.WORLD`."""
     lanes = world.shape[1]
-    is_over = _judge(world, data, row(action, 0, lanes))
-    right = row(world, _RIGHT, lanes)
-    for lane in range(lanes):
-        reward[lane] = right[lane]
-    for lane in range(lanes):
-        ended[lane] = 0.0
+    if lanes == WIDTHS[-1]:  # a constant lets the compiler compute several lanes at once
+        is_over = _judge(world, WIDTHS[-1], data, action, reward, ended)
+    else:
+        is_over = _judge(world, lanes, data, action, reward, ended)
     if is_over:
         for lane in range(lanes):
             if world[_TICK, lane] >= HOLD:
@@ -159,7 +163,7 @@ class Sonar(CompiledTask):
     def transition(self, state: Array, action: Array, draws: Callable[[int], Array]) -> Array:
         assert isinstance(draws, Draws)
         world = state.reshape(-1, 1)
-        if _judge(world, self._data, action):
+        if _judge_one(world, self._data, action.reshape(-1, 1)):
             seed, lane = np.uint32(draws.seed), np.uint32(draws.lane)
             _turn(world, 0, seed, lane, np.int64(draws.step))
         return world[:, 0]
