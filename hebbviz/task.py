@@ -48,7 +48,8 @@ class Preset:
     """A named setting of a task: the learner's β, γ and rule, and what the task needs besides.
 
     `note` says in a sentence how it differs from the paper. `rule` is as `rules.make_rule` reads
-    it; `fall` the steps over which γ falls.
+    it; `fall` the steps over which γ falls; `hidden` the sizes of the hidden layers, None for the
+    task's own.
     """
 
     beta: float
@@ -57,6 +58,7 @@ class Preset:
     options: Mapping[str, Any] = field(default_factory=dict)
     rule: str = "paper"
     fall: float = math.inf
+    hidden: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -167,9 +169,10 @@ class Task:
     presets: ClassVar[Mapping[str, Preset]]
     dt: ClassVar[float | None] = None
     """Seconds that a step lasts; None for a task that has no time but its steps."""
-    epoch: ClassVar[int | None] = None
+    epoch: int | None = None
     """Steps of one pass over a training set; None for a task that has none."""
     hidden: ClassVar[tuple[int, ...]] = (8,)
+    """Sizes of the hidden layers, where the preset brings none of its own."""
     activity: ClassVar[Activity] = SYMMETRIC
     weight_range: ClassVar[float] = 0.1
     """Initial weights are uniform in ± this."""
@@ -285,7 +288,8 @@ class Task:
     # What a learner starts from
 
     def topology(self, hidden: Sequence[int] | None = None) -> Topology:
-        sizes = self.hidden if hidden is None else tuple(hidden)
+        own = self.hidden if self.preset.hidden is None else self.preset.hidden
+        sizes = own if hidden is None else tuple(hidden)
         return feedforward(len(self.inputs), sizes, len(self.outputs), activity=self.activity)
 
     def initial_weights(self, draws: Array) -> Array:

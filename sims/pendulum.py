@@ -62,6 +62,13 @@ class Pendulum(Task):
             "the paper's β and γ with inputs in SI units: learns only over 10⁷ s",
             {"gains": _SI},
         ),
+        "best": Preset(
+            0.98, 5e-2,
+            "as quick, with a reward baseline, a γ that begins larger and falls, "
+            "and 8 hidden units for 4",
+            {"gains": (1.0, 2.0, 10.0, 2.0)},
+            rule="baseline:time=10000", fall=1e6, hidden=(8,),
+        ),
     }  # fmt: skip
     readings = (
         Reading("tilt", "°"), Reading("puck x", "m"), Reading("puck y", "m"),

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hebbviz.rules.paper import PAPER
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
@@ -24,14 +26,16 @@ def setting(plan: Plan) -> dict[str, Any]:
     return {
         "task": plan.task, "preset": learner.task.preset_name,
         "network": learner.topology.describe(), "beta": learner.beta, "gamma": learner.gamma,
-        "lanes": plan.lanes,
+        "rule": str(learner.rule), "fall": finite(learner.fall), "lanes": plan.lanes,
     }  # fmt: skip
 
 
 def words_of(plan: Plan) -> str:
     """`setting` in a line, but for the lanes."""
     s = setting(plan)
-    return f"{s['network']}, β {s['beta']:g}, γ {shown(s['gamma'])}"
+    falls = f" falling over {shown(s['fall'])} steps" if s["fall"] is not None else ""
+    rule = "" if s["rule"] == PAPER.name else f", rule {s['rule']}"
+    return f"{s['network']}, β {s['beta']:g}, γ {shown(s['gamma'])}{falls}{rule}"
 
 
 def preset_note(plan: Plan) -> str:

@@ -31,7 +31,6 @@ Array = NDArray[np.float64]
 
 BACK_PROPAGATION = {"training_error": 0.003, "test_error": 0.165}
 """Gorman and Sejnowski, 6 hidden units, fractions of patterns."""
-EPOCH = Sonar.epoch
 
 _EVALUATIONS = 50
 _SHOWN = {
@@ -48,43 +47,51 @@ class _Size:
 
 
 _FULL, _QUICK = _Size("paper", 100, 2000), _Size("quick", 6, 20)
+_EPOCHS = {"best": 500, "best-raw": 500}
+"""By when a preset has shown what it can; any other is given as many as the paper's."""
 
 
 def make(order: Order, work: Work) -> Sheet:
     """Errors at about 50 times, which are equally far apart."""
     size = _QUICK if order.quick else _FULL
-    segments, epochs = cut(order.epochs or size.epochs, _EVALUATIONS)
+    preset = order.preset or size.preset
+    length = size.epochs if order.quick else _EPOCHS.get(preset, size.epochs)
+    segments, epochs = cut(order.epochs or length, _EVALUATIONS)
+    task = Sonar(preset)
     plan = Plan(
-        task="sonar", preset=order.preset or size.preset, seed=order.seed,
-        lanes=order.lanes or size.lanes, segments=segments, segment_steps=epochs * EPOCH,
-        evaluate=1, options={"dtype": "float32"},
+        task="sonar", preset=preset, seed=order.seed, lanes=order.lanes or size.lanes,
+        segments=segments, segment_steps=epochs * task.epoch, evaluate=1,
+        options={"dtype": "float32"},
     )  # fmt: skip
-    plan.make_task()
     (curves,) = work.curves([plan])
     with look():
-        figure = _draw(plan, curves)
+        figure = _draw(plan, curves, task)
+    done = plan.steps // task.epoch
     quick = (
-        f"quick: preset {plan.preset}, {plan.lanes} runs of {plan.steps // EPOCH} epochs in place "
-        f"of preset {_FULL.preset}, {_FULL.lanes} runs of {_FULL.epochs:,}\n"
+        f"quick: preset {plan.preset}, {plan.lanes} runs of {done} epochs in place of preset "
+        f"{_FULL.preset}, {_FULL.lanes} runs of {_FULL.epochs:,}\n"
     )
     notes = (quick if order.quick else "") + preset_note(plan)
-    return Sheet(figure, _table(curves), _numbers(plan, curves), notes)
+    return Sheet(figure, _table(curves, task), _numbers(plan, curves, task), notes)
 
 
-def _numbers(plan: Plan, curves: Curves) -> dict[str, Any]:
+def _numbers(plan: Plan, curves: Curves, task: Sonar) -> dict[str, Any]:
     """The errors at the end, as fractions."""
-    numbers = setting(plan) | {"epochs": plan.steps // EPOCH}
+    numbers = setting(plan) | {
+        "epochs": plan.steps // task.epoch, "steps_a_pattern": task.hold,
+    }  # fmt: skip
     for name in sorted(_SHOWN, reverse=True):
         last = curves.figures[name][:, -1]
         numbers |= {
             name: float(last.mean()), f"{name}_sd": float(last.std()),
+            f"{name}_worst": float(last.max()),
             f"{name}_back_propagation": BACK_PROPAGATION[name],
         }  # fmt: skip
     return numbers
 
 
-def _table(curves: Curves) -> Table:
-    columns: dict[str, Any] = {"epoch": [int(s) // EPOCH for s in curves.evaluated_at]}
+def _table(curves: Curves, task: Sonar) -> Table:
+    columns: dict[str, Any] = {"epoch": [int(s) // task.epoch for s in curves.evaluated_at]}
     for name in _SHOWN:
         errors = curves.figures[name]
         columns |= {f"{name}_mean": errors.mean(axis=0).tolist(),
@@ -94,10 +101,10 @@ def _table(curves: Curves) -> Table:
     return columns
 
 
-def _draw(plan: Plan, curves: Curves) -> Figure:
+def _draw(plan: Plan, curves: Curves, task: Sonar) -> Figure:
     figure = blank(4.2)
     axes = figure.add_subplot()
-    epochs = curves.evaluated_at / EPOCH
+    epochs = curves.evaluated_at / task.epoch
     for name, (words, shade) in _SHOWN.items():
         percent = 100.0 * curves.figures[name]
         mean, sd = percent.mean(axis=0), percent.std(axis=0)
@@ -109,8 +116,10 @@ def _draw(plan: Plan, curves: Curves) -> Figure:
         axes.axhline(reference, color=shade, lw=1.0, ls=(0, (1, 1.6)))
         words = f"back-propagation, {words}: {reference:g} %"
         label(axes, epochs[-1] * 0.02, reference + 0.4, words, shade)
-    axes.set(xlim=(0, epochs[-1]), ylim=(0, 55), xlabel="epochs of 187 patterns, 1,000 steps each",
-             ylabel="error of a frozen copy, %")  # fmt: skip
+    axes.set(
+        xlim=(0, epochs[-1]), ylim=(0, 55), ylabel="error of a frozen copy, %",
+        xlabel=f"epochs of 187 patterns, {task.hold:,} steps each",
+    )  # fmt: skip
     axes.xaxis.set_major_locator(MaxNLocator(10, integer=True))
     axes.set_title(f"Sonar: mines or rocks, mean ± standard deviation of {plan.lanes} runs")
     axes.text(

@@ -1,0 +1,107 @@
+"""Presets `best`: the paper's rule with what its authors later studied, each part a setting."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hebbviz.chance import FIRST_EPISODE, Draws
+from hebbviz.learner import Learner
+from hebbviz.rules.baseline import Baseline
+from sims.loading import make_task
+from sims.sonar import ENERGIES, HOLD, PATTERNS, TRAINING, Sonar, load
+
+PATTERN, ORDER = 3, 8
+MEAN = ORDER + PATTERNS
+
+
+def seen_by(learner, lane):
+    return learner.activities[:ENERGIES, lane]
+
+
+@pytest.mark.parametrize("name", ["sonar", "pendulum"])
+def test_the_preset_brings_its_network_rule_and_fall(name):
+    learner = Learner(make_task(name, "best"))
+    preset = learner.task.preset
+    sizes = tuple(g.size for g in learner.topology.neuron_groups)[:-1]
+    assert sizes == preset.hidden != type(learner.task).hidden
+    assert isinstance(learner.rule, Baseline)
+    assert learner.fall == preset.fall < math.inf
+    assert next(iter(learner.task.presets)) == "quick", "the page opens with what it did"
+    other = Learner(make_task(name, "best"), hidden=(3,))
+    assert other.topology.describe().split("-")[1] == "3", "--hidden is stronger"
+
+
+def test_centred_inputs_have_mean_zero_over_the_lanes_own_training_set():
+    task = Sonar("best")
+    learner = Learner(task, lanes=3, seed=4)
+    for lane in range(3):
+        state = learner.world[:, lane].copy()
+        training, test = (state[ORDER:MEAN].astype(int)[s] for s in (slice(187), slice(187, None)))
+        shown = []
+        for pattern in (*training, *test):
+            state[PATTERN] = pattern
+            shown.append(task.observation(state))
+        np.testing.assert_allclose(np.mean(shown[:TRAINING], axis=0), 0.0, atol=1e-12)
+        assert np.abs(np.mean(shown[TRAINING:], axis=0)).max() > 0.01, "the test set is not used"
+        energies = load()[[*training, *test], :ENERGIES]
+        np.testing.assert_allclose(np.diff(shown, axis=0), np.diff(energies, axis=0), atol=1e-12)
+
+
+def test_the_test_set_cannot_be_told_from_what_the_network_is_shown():
+    """The same split with another test set's energies would have the same mean."""
+    state = Sonar("best").restart(Draws(0, 0, 0, FIRST_EPISODE))
+    training = state[ORDER : ORDER + TRAINING].astype(int)
+    np.testing.assert_array_equal(state[MEAN:], load()[training, :ENERGIES].mean(axis=0))
+
+
+def test_centred_inputs_follow_the_pattern_as_it_changes_and_in_evaluations():
+    learner = Learner(Sonar("best"), lanes=2, seed=1)
+    hold = learner.task.hold
+    means = learner.world[MEAN:]
+    for _ in range(4):
+        for lane in range(2):
+            energies = load()[int(learner.world[PATTERN, lane]), :ENERGIES]
+            np.testing.assert_array_equal(seen_by(learner, lane), energies - means[:, lane])
+        learner.skip(hold)
+    assert learner.world[0, 0] == 0, "a pattern lasts `hold` steps"
+    before = learner.keyframe()
+    learner.task.evaluate(learner)
+    np.testing.assert_array_equal(learner.world, before.world)
+    np.testing.assert_array_equal(learner.network, before.network)
+
+
+def test_other_presets_keep_their_worlds_and_their_hold():
+    for name in ("quick", "paper"):
+        task = Sonar(name)
+        assert len(task.restart(Draws(0, 0, 0, FIRST_EPISODE))) == MEAN
+        assert (task.hold, task.epoch) == (HOLD, TRAINING * HOLD)
+
+
+def test_best_and_best_raw_differ_in_nothing_but_the_inputs():
+    best, raw = Sonar("best"), Sonar("best-raw")
+    for name in ("beta", "gamma", "rule", "fall", "hidden"):
+        assert getattr(best.preset, name) == getattr(raw.preset, name)
+    assert best.hold == raw.hold
+    draws = Draws(5, 2, 0, FIRST_EPISODE)
+    np.testing.assert_array_equal(best.restart(draws)[:MEAN], raw.restart(draws))
+
+
+def test_errors_of_a_frozen_copy_are_of_a_thousand_steps_a_pattern():
+    """Counted once more, pattern by pattern, with a policy that cannot be wrong about mines."""
+    learner = Learner(Sonar("best"), lanes=16, seed=2)
+    learner.set_weights(np.zeros_like(learner.weights))
+    errors = learner.task.evaluate(learner)
+    for name, patterns in (("training_error", TRAINING), ("test_error", PATTERNS - TRAINING)):
+        spread = errors[name] - 0.5
+        assert np.abs(spread).max() < 6 * 0.5 / np.sqrt(patterns * HOLD)
+        assert np.abs(spread).max() > 0.5 / np.sqrt(patterns * HOLD), "no fewer steps than that"
+
+
+def test_best_is_ahead_of_quick_after_as_many_steps():
+    steps, errors = 10 * TRAINING * 100, {}
+    for preset in ("quick", "best"):
+        learner = Learner(Sonar(preset), lanes=16, dtype="float32")
+        learner.skip(steps)
+        errors[preset] = learner.task.evaluate(learner)["training_error"].mean()
+    assert errors["best"] < errors["quick"] - 0.1
