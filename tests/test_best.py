@@ -99,9 +99,28 @@ def test_errors_of_a_frozen_copy_are_of_a_thousand_steps_a_pattern():
 
 
 def test_best_is_ahead_of_quick_after_as_many_steps():
-    steps, errors = 10 * TRAINING * 100, {}
+    steps, errors = 5 * TRAINING * 100, {}
     for preset in ("quick", "best"):
         learner = Learner(Sonar(preset), lanes=16, dtype="float32")
         learner.skip(steps)
         errors[preset] = learner.task.evaluate(learner)["training_error"].mean()
     assert errors["best"] < errors["quick"] - 0.1
+
+
+@pytest.mark.slow
+def test_sonar_best_learns_its_training_set():
+    learner = Learner(Sonar("best"), lanes=64, dtype="float32")
+    learner.skip(150 * learner.task.epoch)
+    errors = learner.task.evaluate(learner)
+    assert errors["training_error"].mean() < 0.025
+    assert errors["test_error"].mean() < 0.18
+
+
+@pytest.mark.slow
+def test_pendulum_best_leaves_no_run_behind():
+    """Time to fall over the last fifth of 10⁵ s, of 16 runs."""
+    learner = Learner(make_task("pendulum", "best").in_lanes(), lanes=16)
+    learner.skip(4_000_000)
+    seconds = [learner.task.score(t).value for t in learner.skip_tallied(1_000_000)]
+    assert min(seconds) > 1000.0
+    assert np.median(seconds) > 5000.0
