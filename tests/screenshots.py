@@ -1,6 +1,6 @@
 """Pictures of the page, made by a real browser.
 
-python tests/screenshots.py                # docs/page.png, gradient.png and recording.png
+python tests/screenshots.py                # docs/page.png, lanes.png, gradient.png, recording.png
 python tests/screenshots.py --only gradient
 python tests/screenshots.py --all FOLDER   # each task, light and dark, wide and narrow
 """
@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from PIL import Image
 from playwright.sync_api import Page
 
 ROOT = Path(__file__).parents[1]
@@ -43,6 +44,8 @@ GRADIENT_PLAN: tuple[tuple[int, Command], ...] = (
     (0, SetBeta(0.0)), (120_000, SetBeta(0.8)), (600_000, Pause(paused=True)),
 )  # fmt: skip
 """Commands, each at about a step."""
+LANES, LANES_STEPS = 64, 1_500_000
+"""So many lanes of sonar, until their band has come down."""
 RECORDED_STEPS = 120_000
 VIEWER_SECONDS = 20.0
 """rerun's web viewer takes so long to load a recording without a graphics card."""
@@ -53,9 +56,9 @@ DRAWN_SECONDS = 2.0
 
 
 @contextmanager
-def serving(task: str) -> Iterator[tuple[str, Worker]]:
+def serving(task: str, lanes: int = 1) -> Iterator[tuple[str, Worker]]:
     """A page of a task that runs from step 0: its address, and the worker."""
-    learner = Learner(make_task(task), seed=0)
+    learner = Learner(make_task(task), seed=0, lanes=lanes)
     site = Site(learner, host="127.0.0.1", port=0, speed=None, task_name=None)
     stop = threading.Event()
     thread = threading.Thread(target=lambda: site.run(stop, open_browser=False), daemon=True)
@@ -102,6 +105,11 @@ def shoot(page: Page, path: Path) -> None:
     sys.stdout.flush()
 
 
+def with_few_colors(path: Path) -> None:
+    """Write a picture again with a palette: one of many fine lines is half as large then."""
+    Image.open(path).convert("RGB").quantize(128).save(path, optimize=True)
+
+
 def make_page_picture() -> None:
     """The pendulum after a while of learning, with Watch on."""
     with serving("pendulum") as (address, worker), open_browser() as browser:
@@ -111,6 +119,18 @@ def make_page_picture() -> None:
         page.wait_for_timeout(max(0.0, 1000 * (LEARNING_SECONDS - time.monotonic() + began)))
         wait_for_a_clear_moment(worker)
         shoot(page, DOCS / "page.png")
+
+
+def make_lanes_picture() -> None:
+    """Many lanes of sonar, one of them watched: the mean of them all and the band around it."""
+    with serving("sonar", LANES) as (address, worker), open_browser() as browser:
+        page = load(browser, address, width=WIDE[0], height=WIDE[1], sharpness=1.0)
+        tidy(page)
+        while picture(worker).live.step < LANES_STEPS:  # the page must go on meanwhile
+            page.wait_for_timeout(200)
+        page.wait_for_timeout(1000 * DRAWN_SECONDS)
+        shoot(page, DOCS / "lanes.png")
+    with_few_colors(DOCS / "lanes.png")
 
 
 def make_gradient_picture() -> None:
@@ -188,7 +208,7 @@ def set_theme(page: Page, theme: str) -> None:
 
 
 PICTURES = {
-    "page": make_page_picture, "gradient": make_gradient_picture,
+    "page": make_page_picture, "lanes": make_lanes_picture, "gradient": make_gradient_picture,
     "recording": make_recording_picture,
 }  # fmt: skip
 
