@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="module")
 def limit() -> ModuleType:
     sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))

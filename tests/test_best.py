@@ -87,6 +87,7 @@ def test_best_and_best_raw_differ_in_nothing_but_the_inputs():
     np.testing.assert_array_equal(best.restart(draws)[:MEAN], raw.restart(draws))
 
 
+@pytest.mark.slow
 def test_errors_of_a_frozen_copy_are_of_a_thousand_steps_a_pattern():
     """Counted once more, pattern by pattern, with a policy that cannot be wrong about mines."""
     learner = Learner(Sonar("best"), lanes=16, seed=2)
@@ -98,6 +99,7 @@ def test_errors_of_a_frozen_copy_are_of_a_thousand_steps_a_pattern():
         assert np.abs(spread).max() > 0.5 / np.sqrt(patterns * HOLD), "no fewer steps than that"
 
 
+@pytest.mark.slow
 def test_best_is_ahead_of_quick_after_as_many_steps():
     steps, errors = 5 * TRAINING * 100, {}
     for preset in ("quick", "best"):

@@ -85,6 +85,7 @@ def _until(condition) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 def test_a_killed_worker_costs_its_share_and_nothing_else(cluster, tmp_path):
     with open_workers() as cores:
         local = run(PLAN, cores)

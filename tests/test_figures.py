@@ -100,7 +100,9 @@ def same_files(a, b):
     return all(a.file(k).read_bytes() == b.file(k).read_bytes() for k in ("png", "svg", "csv"))
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize(
+    "name", [k if k == "synapse" else pytest.param(k, marks=pytest.mark.slow) for k in KINDS]
+)
 def test_three_files_are_written_and_say_by_what_they_were_made(made, name):
     figure = made(name)
     assert sorted(p.name for p in figure.folder.iterdir()) == [
@@ -120,7 +122,7 @@ def test_three_files_are_written_and_say_by_what_they_were_made(made, name):
     assert figure.says["quick"] is True
 
 
-@pytest.mark.parametrize("name", ["synapse", "sonar"])
+@pytest.mark.parametrize("name", ["synapse", pytest.param("sonar", marks=pytest.mark.slow)])
 def test_the_command_that_a_figure_names_writes_the_same_bytes(made, name, tmp_path):
     first = made(name)
     program, *argv = shlex.split(first.says["command"])
@@ -152,6 +154,7 @@ def test_synapse_shows_what_the_rule_does(made):
     assert abs(by_letter["c"]) < abs(by_letter["h"]) / 4
 
 
+@pytest.mark.slow
 def test_gradient_shows_the_angles_of_real_learners_and_of_the_exact_chain(made):
     figure = made("gradient")
     columns, steps = figure.columns, figure.says["steps"]
@@ -181,6 +184,7 @@ def test_angles_are_those_between_vectors():
     np.testing.assert_allclose(found, [0.0, 90.0, 180.0, 45.0, 90.0], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_sonar_shows_the_errors_of_frozen_copies(made):
     figure = made("sonar")
     columns, says = figure.columns, figure.says
@@ -202,6 +206,7 @@ def test_sonar_shows_the_errors_of_frozen_copies(made):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_pendulum_shows_the_falls_of_every_run(made):
     """Blocks follow each other without a gap: their falls are all falls of the run."""
     figure = made("pendulum")
@@ -253,6 +258,7 @@ sys.exit(main())
 """
 
 
+@pytest.mark.slow
 def test_an_interrupted_figure_goes_on_and_comes_out_the_same(made, tmp_path):
     whole = made("sonar")
     argv = [a if a != str(whole.folder) else str(tmp_path) for a in whole.argv]

@@ -149,6 +149,7 @@ def test_more_values_go_on_from_what_is_there(made, monkeypatch):
     assert more["points"][:6] == says["points"]
 
 
+@pytest.mark.slow
 def test_ctrl_c_and_the_same_command_again(tmp_path):
     """Stopped in its midst it says so; gone on with, it comes to what one go comes to."""
     own = tmp_path / "own.py"
