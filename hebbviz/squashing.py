@@ -31,6 +31,7 @@ _MANTISSA = np.int32(23)
 
 @inlined
 def _exp64(a):  # type: ignore[no-untyped-def]  # compiled: float64 to float64
+    """e^a for a ≤ 0, to 1 unit in the last place; below −700 it stays at e^−700."""
     a = max(a, -700.0)
     shifted = a * _LOG2_E + _ROUND
     n = shifted - _ROUND
@@ -48,6 +49,7 @@ def _exp64(a):  # type: ignore[no-untyped-def]  # compiled: float64 to float64
 
 @inlined
 def _exp32(a):  # type: ignore[no-untyped-def]  # compiled: float32 to float32
+    """The same in float32; below −86 it stays at e^−86."""
     a = max(a, _F_LEAST)
     shifted = fma(a, _F_LOG2_E, _F_ROUND)
     n = shifted - _F_ROUND
@@ -72,21 +74,9 @@ def _sigmoid32(v):  # type: ignore[no-untyped-def]
     return (_F_ONE if v >= _F_ZERO else e) / (_F_ONE + e)
 
 
-def exp_of_negative(a: Any) -> Any:
-    """e^a for a ≤ 0, to 1 unit in the last place; below −700 (−86 in float32) it stays there."""
-    raise NotImplementedError("exp_of_negative is for compiled code")
-
-
 def sigmoid(v: Any) -> Any:
     """σ(v), equation (neuron), in the type of v."""
     raise NotImplementedError("sigmoid is for compiled code")
-
-
-@overload(exp_of_negative, jit_options=INLINED)
-def _exp_for(a):  # type: ignore[no-untyped-def]
-    if a == types.float32:
-        return lambda a: _exp32(a)  # noqa: PLW0108  # numba compares the arguments' names
-    return lambda a: _exp64(a)  # noqa: PLW0108
 
 
 @overload(sigmoid, jit_options=INLINED)
