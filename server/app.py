@@ -6,6 +6,7 @@ import ipaddress
 import socket
 import sys
 import threading
+import warnings
 from typing import TYPE_CHECKING
 
 from server import guard, words
@@ -110,6 +111,11 @@ class Site:
 
     def run(self, stop: threading.Event, *, open_browser: bool) -> None:
         """Show it and step it until `stop` is set; then close everything."""
+        with warnings.catch_warnings():  # a tab may close at any time; nothing is lost by that
+            warnings.filterwarnings("ignore", message=".*closed connection")
+            self._show(stop, open_browser=open_browser)
+
+    def _show(self, stop: threading.Event, *, open_browser: bool) -> None:
         try:
             page = self._page = Page(self._server)
             worker = self._worker = Worker(

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import threading
 import time
-import warnings
 from collections import deque
 from typing import Any
 
@@ -303,10 +302,8 @@ class Page:
             picture, self._pictures_per_second(), time.monotonic() - picture.made_at,
             len(self._server.get_clients()),
         )  # fmt: skip
-        with warnings.catch_warnings():  # a tab may close at any time; nothing is lost by that
-            warnings.filterwarnings("ignore", message=".*closed connection")
-            for inspector in self._inspectors.values():
-                inspector.draw(picture)
+        for inspector in self._inspectors.values():
+            inspector.draw(picture)
         self._ask_probes()
 
     def _ask_probes(self) -> None:
