@@ -26,6 +26,7 @@ from browser import (
     press,
     row,
     slide,
+    still,
     text_of,
 )
 from playwright.sync_api import Browser, ConsoleMessage, Page, expect
@@ -253,7 +254,7 @@ def test_the_memory_slider_is_moved_by_keys(page: Page, live: Live) -> None:
 def test_the_memory_slider_is_dragged(page: Page, live: Live) -> None:
     slider = row(page, "memory").get_by_role("slider")
     slider.scroll_into_view_if_needed()
-    thumb = slider.bounding_box()
+    thumb = still(page, slider).bounding_box()
     track = row(page, "memory").locator(".mantine-Slider-trackContainer").bounding_box()
     assert thumb is not None
     assert track is not None
