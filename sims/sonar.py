@@ -66,29 +66,31 @@ def _shuffle(world, lane, seed, number, step):  # type: ignore[no-untyped-def]
 
 
 @njit(forceinline=True, error_model="numpy")
-def _judge(world, width, data, action, reward, ended):  # type: ignore[no-untyped-def]
+def _judge(world, width, data, action, reward):  # type: ignore[no-untyped-def]
     """Whether the predictions of all lanes are right, and a tick; True where a pattern has been
-    seen long enough.
+    seen long enough. Loops are short: each is one that the compiler makes of several lanes at once.
     """
     prediction, right = row(world, _PREDICTION, width), row(world, _RIGHT, width)
     pattern, tick = row(world, _PATTERN, width), row(world, _TICK, width)
-    said = row(action, 0, width)
+    said, truth = row(action, 0, width), row(data, ENERGIES, PATTERNS)
+    hold = data[_HOLD, 0]
     over = 0
+    for lane in range(width):  # the truth first, in the place of the verdict
+        right[lane] = truth[np.uint32(np.int32(pattern[lane]))]
     for lane in range(width):
         prediction[lane] = said[lane]
     for lane in range(width):
-        truth = data[ENERGIES, np.int64(pattern[lane])]
-        right[lane] = 1.0 if prediction[lane] == truth else 0.0
+        right[lane] = 1.0 if prediction[lane] == right[lane] else 0.0
         tick[lane] += 1.0
-        over += 1 if tick[lane] >= data[_HOLD, 0] else 0
+        over += 1 if tick[lane] >= hold else 0
     for lane in range(width):
-        reward[lane], ended[lane] = right[lane], 0.0
+        reward[lane] = right[lane]
     return over > 0
 
 
 @njit(cache=True, error_model="numpy")
 def _judge_one(world, data, action):  # type: ignore[no-untyped-def]
-    return _judge(world, 1, data, action, np.empty(1), np.empty(1))
+    return _judge(world, 1, data, action, np.empty(1))
 
 
 @njit(cache=True, error_model="numpy")
@@ -119,9 +121,9 @@ def answer(world, action, data, keys, step, observation, reward, ended):  # type
     """The world's step for all lanes, see `engine.WORLD`."""
     lanes = world.shape[1]
     if lanes == WIDTHS[-1]:  # a constant lets the compiler compute several lanes at once
-        is_over = _judge(world, WIDTHS[-1], data, action, reward, ended)
+        is_over = _judge(world, WIDTHS[-1], data, action, reward)
     else:
-        is_over = _judge(world, lanes, data, action, reward, ended)
+        is_over = _judge(world, lanes, data, action, reward)
     if is_over:
         for lane in range(lanes):
             if world[_TICK, lane] >= data[_HOLD, 0]:
