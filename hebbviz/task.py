@@ -233,6 +233,12 @@ class Task:
         """The state after a button of `controls` was pressed."""
         return state
 
+    def check_states(self, states: Array) -> None:
+        """Raise ValueError if one of the states (n, numbers), read from a file, cannot be.
+
+        For what compiled code would trip over unseen, such as a number that it looks up a table by.
+        """
+
     def in_lanes(self) -> Task:
         """The same world compiled, for many lanes at once; itself where there is no other."""
         return self

@@ -24,6 +24,7 @@ from hebbviz.compiled import row
 from hebbviz.engine import WORLD as WORLD_SIGNATURE
 from hebbviz.layout import WIDTHS
 from hebbviz.learner import Learner
+from hebbviz.limits import check_places
 from hebbviz.task import CompiledTask, Input, Measure, Output, Pose, Preset, Reading, Score, Tally
 
 Array = NDArray[np.float64]
@@ -209,6 +210,13 @@ class Sonar(CompiledTask):
 
     def reward(self, state: Array) -> float:
         return float(state[_RIGHT])
+
+    def check_states(self, states: Array) -> None:
+        check_places("a pattern", states[:, _PATTERN], PATTERNS)
+        check_places("an epoch's length", states[:, _LENGTH] - 1.0, PATTERNS)
+        check_places("a place in the epoch", states[:, _INDEX], states[:, _LENGTH].min())
+        if (np.sort(states[:, _ORDER:_MEAN]) != np.arange(PATTERNS)).any():
+            raise ValueError(f"an epoch's order must have each of {PATTERNS} patterns once")
 
     def score(self, tally: Tally) -> Score:
         """Errors in %, counted over every step."""
