@@ -145,10 +145,15 @@ class Run:
             follower.change(self, self.log[-1])
 
     def reset(self, command: Reset) -> None:
-        """The same task and network from step 0, with the β, γ and rule that are set."""
+        """The same task and network from step 0, with the β, γ and rule that are set, and the
+        task's switches, of which the command may set one.
+        """
         old = self.learner
+        task = old.task
+        if command.switch is not None:
+            task = self.make_task(self.task_name, task.switched(*command.switch))
         fresh = Learner(
-            old.task, topology=old.topology, beta=old.beta, gamma=old.gamma, rule=old.rule,
+            task, topology=old.topology, beta=old.beta, gamma=old.gamma, rule=old.rule,
             fall=old.fall, seed=old.seed if command.seed is None else command.seed,
             lanes=old.lanes if command.lanes is None else command.lanes,
             first_lane=old.first_lane,

@@ -298,6 +298,7 @@ def test_an_interrupted_figure_goes_on_and_comes_out_the_same(made, tmp_path):
         ("pendulum --out {out} --epochs 3", "takes no --epochs"),
         ("synapse --out {out} --task sonar", "takes no --task"),
         ("sonar --out {out} --preset none", "quick, paper"),
+        ("sonar --out {out} --preset best:bent=no", "no switch 'bent'; it has centred"),
         ("learning --out {out} --task {lever} --hours 1", "give --steps"),
         ("learning --out {out} --task {lever} --epochs 1", "no epochs"),
         ("learning --out {out} --task none", "no task 'none'"),
