@@ -23,20 +23,19 @@ class UnknownPreset(ValueError):
 
 @dataclass(frozen=True)
 class Switch:
-    """A choice of two: its name, and what the world has when it is on and when it is off.
+    """A choice of two: its name, and in a few words what the world has when it is on.
 
     Whether it is on is in the `options` of the task's preset, under its name; off if it is not.
     """
 
     name: str
-    on: str
-    off: str
+    words: str
 
 
 def find_preset(
     presets: Mapping[str, Preset], switches: Sequence[Switch], spec: str
 ) -> tuple[str, Preset]:
-    """The preset that `spec` names, and its shortest name; its note says what was switched.
+    """The preset that `spec` names, and its shortest name.
 
     Raises UnknownPreset for a preset or a switch that is not there.
     """
@@ -49,9 +48,7 @@ def find_preset(
     if not other:
         return name, preset
     now = {s.name: wanted[s.name] for s in other}
-    words = ", ".join(s.on if now[s.name] else s.off for s in other)
-    found = replace(preset, options={**preset.options, **now}, note=f"{preset.note}; {words}")
-    return spelled(name, now), found
+    return spelled(name, now), replace(preset, options={**preset.options, **now})
 
 
 def is_on(preset: Preset, switch: Switch) -> bool:

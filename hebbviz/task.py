@@ -221,6 +221,13 @@ class Task:
         """Which of the switches are on."""
         return {s.name: is_on(self.preset, s) for s in self.switches}
 
+    @property
+    def note(self) -> str:
+        """What the preset and the switches that are on make of it, in a sentence."""
+        return "; ".join(
+            (self.preset.note, *(s.words for s in self.switches if is_on(self.preset, s)))
+        )
+
     def switched(self, name: str, on: bool) -> str:
         """The name of this setting with one of the switches set."""
         return self.find_preset(spelled(self.plain_preset, self.settings | {name: on}))[0]

@@ -224,7 +224,7 @@ class Controls:
         assign(self.task, "value", picture.task_name)
         assign(self.preset, "options", tuple(task.presets))
         assign(self.preset, "value", task.plain_preset)
-        self.preset_note.content = f"{task.summary}. *{task.preset.note}.*"
+        self.preset_note.content = f"{task.summary}. *{task.note}.*"
         assign(self.amount, "value", task.hand_reward)
         self._build_switches(task)
         self._build_task_buttons(task)
@@ -239,8 +239,8 @@ class Controls:
     def _add_switch(self, switch: Switch, task: Task) -> Any:
         handle = self._gui.add_checkbox(
             switch.name, task.settings[switch.name], order=self.preset_note.order + 0.5,
-            hint=f"on: {switch.on}; off: {switch.off}. Another choice starts a new run with the β, "
-            "γ, rule and network that are set",
+            hint=f"{switch.words}. Another choice starts a new run with the β, γ, rule and network "
+            "that are set",
         )  # fmt: skip
         self._ui.when(handle, lambda v: Reset(switch=(switch.name, bool(v))))
         return handle
