@@ -60,6 +60,9 @@ class Learning:
         for handle in (self._chart, self._style, self._words):
             handle.remove()
 
+    def renew(self) -> None:
+        self._chart.renew()
+
     def draw(self, picture: Picture) -> None:
         curve, all_lanes = picture.curve, None
         if self._has_lanes:
