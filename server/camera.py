@@ -23,6 +23,11 @@ further away."""
 LABELS = 1.4
 """Room for the labels at the left of a network."""
 FURTHEST = 4.0
+SHEET, WITH_SHEET = 0.42, 0.6
+"""In a window of this width by height or less, the panels stand in a sheet over the lower part of
+the scene, of this share."""
+FURTHER_WITH_SHEET = 1.15
+"""Room for the labels, which are as large in a narrow window as in another."""
 NEAR_ENOUGH = 0.02
 """Of a camera to where it is to stand, in scene units."""
 SECONDS = 5.0
@@ -83,7 +88,12 @@ def _pose(client: viser.ClientHandle, view: str, picture: Picture) -> tuple[Arra
     position, target = (np.array(p) for p in view_of(view, picture))
     wide = WHOLE_ASPECT if picture.other is None else _wide_enough(client.camera.fov, picture)
     back = float(np.clip(wide / client.camera.aspect, 1.0, FURTHEST))
-    return target + back * (position - target), target
+    away = back * (position - target)
+    if client.camera.aspect <= WITH_SHEET:  # the middle of what is above the sheet
+        away = FURTHER_WITH_SHEET * away
+        height = 2.0 * np.linalg.norm(away) * np.tan(client.camera.fov / 2)
+        target = target - (0.0, 0.0, 0.4 * SHEET * height)
+    return target + away, target
 
 
 def _stands_at(client: viser.ClientHandle, pose: tuple[Array, Array]) -> bool:

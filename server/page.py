@@ -46,6 +46,19 @@ and this page will go on by itself.</div>"""
 """viser's page makes its panels deaf when it loses the server; that is when this is shown."""
 
 
+SHEET = f"""<style>
+@media (max-width: 36em) {{
+  .mantine-Paper-root[style*="max-height: 60%"] {{
+    max-height: {100 * camera.SHEET:g}% !important; width: 100% !important; }}
+  .mantine-Paper-root[style*="max-height: 60%"] [style*="width: 20em"] {{
+    width: 100% !important; }}
+}}
+</style>"""
+"""Narrow windows have viser's panels in a sheet that opens over the scene, and that no server can
+close; it is kept so low that the scene is seen above it, see `camera`.
+"""
+
+
 class Page:
     """Draws a worker's run on a viser server until told to stop."""
 
@@ -104,7 +117,7 @@ class Page:
             )
         gui.main_panel.dock_right()
         gui.main_panel.set_width(340)
-        gui.add_html(GONE)
+        gui.add_html(GONE + SHEET)
         self._status = gui.add_markdown("")
         self._warning = gui.add_markdown("", visible=False)
         self._build_controls(Widgets(gui, worker.send, self.notify), picture.seed)
