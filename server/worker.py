@@ -63,6 +63,7 @@ from server.picture import Other, Past, Picture
 from server.player import Player
 from server.recording.recordings import Options, Recordings
 from server.run import Run
+from server.stuck import StuckLanes
 from server.tape import Pace
 from server.trail import Trail
 from server.watch import Watch
@@ -104,6 +105,7 @@ class Worker(threading.Thread):
         self._stopping = threading.Event()
         self._watch = Watch()
         self._evaluator = Evaluator(run.make_task, on_notice)
+        self._stuck = StuckLanes()
         self._estimating = Estimating()
         run.followers.append(self._estimating)
         self._paused = False
@@ -458,6 +460,7 @@ class Worker(threading.Thread):
     def _renew(self, *, keep_evaluations_to: int = -1) -> None:
         """After the run became another: forget what belonged to the one before."""
         self._evaluator.forget(keep_evaluations_to)
+        self._stuck.forget()
         self._watch.clear()
         self._excerpt_trail.clear()
         self._live_trail.clear()
@@ -472,6 +475,8 @@ class Worker(threading.Thread):
     def _publish(self, seconds: float) -> None:
         learner = self._run.learner
         live = self._run.frame()
+        if live.since.steps:
+            self._stuck.look(learner)
         moves = bool(live.since.steps) and evaluates_by_itself(learner)
         if moves and self._evaluator.is_rested():
             self._evaluate()
@@ -497,6 +502,7 @@ class Worker(threading.Thread):
             curve=curves.lane(learner.watch),
             curves=curves,
             ghost=self._run.ghost,
+            stuck=self._stuck.lanes,
             changes=tuple(self._run.log[-200:]),
             paused=self._paused if self._player is None else not self._player.playing,
             speed=self._speed,

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import cache
 from importlib.resources import files
-from typing import Any
 
 import numpy as np
 from numba import cfunc, njit
@@ -25,6 +24,7 @@ from hebbviz.engine import WORLD as WORLD_SIGNATURE
 from hebbviz.layout import WIDTHS
 from hebbviz.learner import Learner
 from hebbviz.limits import check_places
+from hebbviz.switches import Switch
 from hebbviz.task import CompiledTask, Input, Measure, Output, Pose, Preset, Reading, Score, Tally
 
 Array = NDArray[np.float64]
@@ -36,6 +36,7 @@ HOLD = 1000
 """Steps for which a pattern is shown, unless the preset says otherwise, and in evaluations."""
 
 MINE, ROCK = 1.0, -1.0
+CENTRED = "centred"
 
 _TICK, _INDEX, _EPOCH, _PATTERN, _PREDICTION, _RIGHT, _LENGTH, _SHUFFLES, _ORDER = range(9)
 _MEAN = _ORDER + PATTERNS
@@ -133,10 +134,6 @@ def answer(world, action, data, keys, step, observation, reward, ended):  # type
     return 1 if is_over else 0
 
 
-_BEYOND: dict[str, Any] = {"hidden": (64,), "rule": "baseline:time=1000", "fall": 1.122e6}
-"""What presets `best` and `best-raw` share beside β and γ; γ is halved after 60 epochs."""
-
-
 class Sonar(CompiledTask):
     """State: steps this pattern was shown, place in the epoch, epoch, pattern, prediction (±1),
     whether it was right, patterns in an epoch, whether epochs are shuffled, then all patterns,
@@ -162,14 +159,12 @@ class Sonar(CompiledTask):
         "paper": Preset(0.5, 1e-4, "the paper's β and γ: allow it 2 000 epochs"),
         "best": Preset(
             0.5, 0.2,
-            "a reward baseline, a γ that falls, 64 hidden units, inputs centred on the mean of the "
-            "training set, and 100 steps a pattern; errors are counted over 1 000 all the same",
-            {"centred": True, "hold": 100}, **_BEYOND,
-        ),
-        "best-raw": Preset(
-            0.5, 0.2, "as best, but with inputs that are not centred", {"hold": 100}, **_BEYOND
+            "a reward baseline, a γ that falls by half in 60 epochs, 64 hidden units, 100 steps a "
+            "pattern (1 000 where errors are counted)",
+            {CENTRED: True, "hold": 100}, "baseline:time=1000", fall=1.122e6, hidden=(64,),
         ),
     }  # fmt: skip
+    switches = (Switch(CENTRED, "inputs less their mean over the training set"),)
     answer = answer
 
     def __init__(self, preset: str | None = None) -> None:
@@ -192,7 +187,7 @@ class Sonar(CompiledTask):
         """A random split into training and test set, and the first order of the former."""
         order = np.argsort(draws(PATTERNS))
         world = _world(order.astype(np.float64), TRAINING, shuffles=True)
-        if not self.preset.options.get("centred"):
+        if not self.settings[CENTRED]:
             return world
         return np.concatenate((world, load()[order[:TRAINING], :ENERGIES].mean(axis=0)))
 

@@ -192,7 +192,7 @@ def test_reset_keeps_what_is_set_and_leaves_a_ghost() -> None:
     learner = run.learner
     assert (learner.step, learner.seed, learner.beta, learner.frozen) == (0, 2, 0.6, True)
     assert run.ghost is not None
-    assert run.ghost.steps.sum() == 5000
+    assert run.ghost.lane(0).steps.sum() == 5000
     run.reset(Reset(seed=9))
     assert run.learner.seed == 9
 
