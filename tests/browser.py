@@ -27,6 +27,26 @@ FLAGS = (
 PATIENCE = 30_000.0
 """Milliseconds; software WebGL on a shared core is slow."""
 
+FEW_FRAMES = """
+{
+  const draw = requestAnimationFrame.bind(window), drop = cancelAnimationFrame.bind(window);
+  const drawn = new Map();
+  window.requestAnimationFrame = (then) => {
+    const id = setTimeout(() => drawn.set(id, draw((now) => {
+      drawn.delete(id);
+      then(now);
+    })), 60);
+    return id;
+  };
+  window.cancelAnimationFrame = (id) => {
+    clearTimeout(id);
+    drop(drawn.get(id) ?? 0);
+    drawn.delete(id);
+  };
+}
+"""
+"""The page draws some ten frames a second: they are what a machine without a GPU is busy with."""
+
 
 class NoBrowser(RuntimeError):
     """There is no Chromium on this machine."""
@@ -82,6 +102,7 @@ def load(
     """
     context = browser.new_context(viewport={"width": width, "height": height})
     context.set_default_timeout(PATIENCE)
+    context.add_init_script(FEW_FRAMES)
     page = context.new_page()
     page.goto(f"{address}/?fixedDpr={sharpness}", wait_until="domcontentloaded")
     page.locator("canvas").first.wait_for()

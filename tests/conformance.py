@@ -235,6 +235,16 @@ def check_measures(make_task: MakeTask) -> None:
     assert np.isfinite(task.score(start - start).value), "no steps have a score too"
     learner.advance(STEPS)
     assert np.isfinite(task.score(learner.tally() - start).value)
+    results = task.results(learner, learner.tally())
+    assert results
+    assert all(isinstance(k, str) and np.isfinite(v) for k, v in results.items())
+
+
+def check_evaluation(make_task: MakeTask) -> None:
+    """A frozen copy is judged lane by lane, and the learner left as it is."""
+    task = make_task()
+    learner = Learner(task)
+    learner.advance(STEPS)
     before = learner.keyframe()
     figures = task.evaluate(learner)
     assert figures
@@ -243,9 +253,6 @@ def check_measures(make_task: MakeTask) -> None:
     after = learner.keyframe()
     assert _same([before.network, before.world], [after.network, after.world])
     assert learner.step == before.step
-    results = task.results(learner, learner.tally())
-    assert results
-    assert all(isinstance(k, str) and np.isfinite(v) for k, v in results.items())
 
 
 def check_compiled(make_task: MakeTask) -> None:
@@ -315,6 +322,7 @@ CHECKS: tuple[Callable[[MakeTask], None], ...] = (
     check_runs_repeat,
     check_lanes,
     check_measures,
+    check_evaluation,
     check_compiled,
 )
 

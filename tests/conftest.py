@@ -1,6 +1,14 @@
-"""Settings of the property tests: the same examples each time, and no search for smaller ones."""
+"""What all tests share: the settings of the property tests, and a browser.
 
+Property tests have the same examples each time, and no search for smaller ones.
+"""
+
+from collections.abc import Iterator
+
+import pytest
+from browser import browser_or_skip
 from hypothesis import Phase, settings
+from playwright.sync_api import Browser
 
 settings.register_profile(
     "hebbviz",
@@ -10,3 +18,10 @@ settings.register_profile(
     phases=(Phase.explicit, Phase.generate),
 )
 settings.load_profile("hebbviz")
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """One for all: the first page of a browser compiles its shaders, and later ones find them."""
+    with browser_or_skip() as browser:
+        yield browser

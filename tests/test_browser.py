@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 from browser import (
     PATIENCE,
-    browser_or_skip,
     choose,
     eventually,
     field,
@@ -71,6 +70,7 @@ class Live:
 
     site: Site
     worker: Worker
+    stop: Callable[[], None]
 
     @property
     def picture(self) -> Picture:
@@ -80,24 +80,22 @@ class Live:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with browser_or_skip() as browser:
-        yield browser
-
-
-@pytest.fixture(scope="module")
 def live() -> Iterator[Live]:
     learner = Learner(make_task("pendulum", "quick"), seed=0)
     site = Site(learner, host="127.0.0.1", port=0, speed=SPEED, task_name=None)
     stop = threading.Event()
     thread = threading.Thread(target=lambda: site.run(stop, open_browser=False), daemon=True)
     thread.start()
+
+    def end() -> None:
+        stop.set()
+        thread.join(10.0)
+        assert not thread.is_alive()
+
     wait_until(lambda: site._worker is not None and site._worker.latest is not None, 30.0)
     assert site._worker is not None
-    yield Live(site, site._worker)
-    stop.set()
-    thread.join(10.0)
-    assert not thread.is_alive()
+    yield Live(site, site._worker, end)
+    end()
 
 
 @pytest.fixture(scope="module")
@@ -107,11 +105,12 @@ def errors() -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def tab(browser: Browser, live: Live, errors: list[str]) -> Page:
+def tab(browser: Browser, live: Live, errors: list[str]) -> Iterator[Page]:
     """The tab that most tests look at."""
     page = load(browser, live.site.address, width=WIDTH, height=HEIGHT)
     listen(page, errors)
-    return page
+    yield page
+    page.context.close()
 
 
 @pytest.fixture
@@ -401,6 +400,23 @@ def test_the_estimate_goes_to_the_true_gradient(page: Page, live: Live) -> None:
 # Tabs and picks
 
 
+def test_what_another_picks_is_not_picked_here(page: Page, live: Live) -> None:
+    pause(page, live)
+    choose(page, "from", "angle x")
+    page.get_by_text("angle x → hidden 1").wait_for()
+    with RawClient(int(live.site.address.rpartition(":")[2])) as other:
+        other.send_value(other.find("from"), "angle y")
+        other.wait(
+            lambda: [w for w in list(other.widgets.values()) if "angle y → hidden 1" in str(w)]
+        )
+        step = step_shown(page)
+        press(page, "1 step")
+        eventually(page, lambda: step_shown(page) == step + 1)
+        assert "angle x → hidden 1" in text_of(page)
+        assert "angle y → hidden 1" not in text_of(page)
+
+
+@pytest.mark.slow
 def test_each_tab_follows_its_own_pick(
     page: Page, live: Live, browser: Browser, errors: list[str]
 ) -> None:
@@ -465,6 +481,7 @@ def band(page: Page) -> list[float]:
     return widths
 
 
+@pytest.mark.slow
 def test_many_lanes_have_a_band_that_grows_while_one_is_watched(page: Page, live: Live) -> None:
     send(live, Choose("sonar", "quick"), SetSpeed(4000.0))
     expect(field(page, "task")).to_have_value("sonar")
@@ -526,7 +543,8 @@ def test_a_command_acts_at_once(live: Live) -> None:
     assert statistics.median(delays) < 1.0
 
 
-def test_the_page_says_that_the_server_is_gone(browser: Browser) -> None:
+@pytest.mark.slow
+def test_the_page_says_that_the_server_was_killed(browser: Browser) -> None:
     command = [sys.executable, "-m", "server.cli", "serve", "--no-browser", "--port", "0"]
     with subprocess.Popen(
         [*command, "--speed", "50"], cwd=ROOT, stdout=subprocess.PIPE, text=True
@@ -571,3 +589,12 @@ def test_the_rule_is_chosen_and_its_baseline_shown(page: Page, live: Live) -> No
     eventually(page, lambda: (live.picture.live.rule, live.picture.live.fall) == (PAPER, math.inf))
     page.get_by_text("what rule baseline keeps").first.wait_for(state="detached")
     page.get_by_role("tab", name="Learning").click()
+
+
+def test_the_page_says_that_the_server_is_gone(page: Page, live: Live) -> None:
+    """The last of these tests, for it ends what all of them look at."""
+    gone = page.get_by_text(re.compile("server is gone", re.IGNORECASE))
+    expect(gone).to_have_count(1)
+    expect(gone).not_to_be_visible()
+    live.stop()
+    expect(gone).to_be_visible()

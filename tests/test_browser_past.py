@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import PATIENCE, browser_or_skip, choose, eventually, field, load, press, row, text_of
+from browser import PATIENCE, choose, eventually, field, load, press, row, text_of
 from playwright.sync_api import Browser, Page, expect
 from raw_client import RawClient, wait_until
 
@@ -83,12 +83,6 @@ def shown(site: Site) -> Iterator[Live]:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with browser_or_skip() as browser:
-        yield browser
-
-
-@pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("recordings")
 
@@ -105,8 +99,10 @@ def live(folder: Path) -> Iterator[Live]:
 
 
 @pytest.fixture(scope="module")
-def tab(browser: Browser, live: Live) -> Page:
-    return load(browser, live.site.address, width=WIDTH, height=HEIGHT)
+def tab(browser: Browser, live: Live) -> Iterator[Page]:
+    page = load(browser, live.site.address, width=WIDTH, height=HEIGHT)
+    yield page
+    page.context.close()
 
 
 @pytest.fixture
@@ -374,6 +370,7 @@ def test_a_recording_opens_in_its_past_and_is_checked(replayed: tuple[Page, Live
     assert page.get_by_role("button", name="Go on from its end").is_visible()
 
 
+@pytest.mark.slow
 def test_a_recording_is_scrubbed_and_played(replayed: tuple[Page, Live]) -> None:
     page, live = replayed
     drag(page, 0.25)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from raw_client import RawClient
+from raw_client import RawClient, wait_until
 
 from hebbviz import files
 from hebbviz.learner import Learner
@@ -437,7 +437,7 @@ def test_a_stopped_training_is_saved(number: signal.Signals, tmp_path: Path) -> 
         end = time.monotonic() + PATIENCE
         while not mark.exists() and time.monotonic() < end:
             time.sleep(0.05)
-        time.sleep(0.5)
+        time.sleep(0.2)
         began = time.monotonic()
         process.send_signal(number)
         out, err = process.communicate(timeout=10)
@@ -480,7 +480,9 @@ def ignore_ctrl_c() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_serve_answers_and_ends_cleanly(number: signal.Signals) -> None:
     """In the background of a script, where Ctrl-C is ignored unless a program asks for it."""
     with started(
@@ -522,9 +524,18 @@ def test_serve_from_python_takes_the_next_port_and_says_so(
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         monkeypatch.setattr(app, "DEFAULT_PORT", port)
-        threading.Timer(3.0, stop.set).start()
         learner = Learner(make_task("synapse"))
+
+        def stop_soon() -> None:
+            try:
+                wait_until(lambda: learner.step > 10, PATIENCE)
+            finally:
+                stop.set()
+
+        stopper = threading.Thread(target=stop_soon)
+        stopper.start()
         serve(learner, speed=50, stop=stop)
+        stopper.join()
     said = capsys.readouterr().out.splitlines()
     assert f"port {port} is taken, using " in said[0]
     assert said[1].startswith("hebbviz is at http://127.0.0.1:")

@@ -9,15 +9,19 @@ from hebbviz.chance import Draws
 from hebbviz.learner import Learner
 from hebbviz.task import Tally
 from sims.pendulum import Pendulum
+from sims.pendulum_lanes import PendulumLanes
 from sims.pendulum_physics import PLANT, fallen
 
 RANDOM = 0.61
 """Seconds that fair coins keep it up."""
 
 
-def test_quick_is_learnt():
+@pytest.mark.parametrize(
+    "world", [PendulumLanes, pytest.param(Pendulum, marks=pytest.mark.slow)]
+)  # fmt: skip
+def test_quick_is_learnt(world):
     """In 6 000 s of its own time, the mean time to fall gets to 2 to 30 s in six seeds."""
-    learner = Learner(Pendulum("quick"), seed=0)
+    learner = Learner(world("quick"), seed=0)
     first = learner.tally()
     learner.skip(2_000)
     beginner = learner.task.score(learner.tally() - first).value

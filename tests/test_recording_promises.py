@@ -162,7 +162,11 @@ def made_again(recording: Recording, task_name: str | None = None) -> bool:
 # Killed
 
 
-@pytest.mark.parametrize("command", [train(), serve("--speed", 50)], ids=["train", "serve"])
+@pytest.mark.parametrize(
+    "command",
+    [pytest.param(train(), id="train", marks=pytest.mark.slow)]
+    + [pytest.param(serve("--speed", 50), id="serve")],
+)
 def test_a_program_that_is_killed_loses_a_second_at_most(
     command: list[object], tmp_path: Path, start: Callable[..., Program]
 ) -> None:
@@ -186,8 +190,18 @@ def test_a_program_that_is_killed_loses_a_second_at_most(
     assert made_again(recording, task)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("command", [train(), serve("--speed", "max")], ids=["train", "serve"])
+TRAIN, SERVE = train(), serve("--speed", "max")
+
+
+@pytest.mark.parametrize(
+    ("command", "number"),
+    [
+        pytest.param(TRAIN, signal.SIGTERM, id="train-15"),
+        pytest.param(SERVE, signal.SIGINT, id="serve-2"),
+        pytest.param(TRAIN, signal.SIGINT, id="train-2", marks=pytest.mark.slow),
+        pytest.param(SERVE, signal.SIGTERM, id="serve-15", marks=pytest.mark.slow),
+    ],
+)
 def test_a_program_that_is_stopped_loses_nothing(
     command: list[object],
     number: signal.Signals,

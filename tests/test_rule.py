@@ -38,18 +38,18 @@ class Chatter(Task):
         super().__init__()
 
     def restart(self, draws):
-        return np.array([0.0, 0.0, *self._shown(draws)])
+        return np.array([0.0, 0.0, *self._shown(draws(1 + len(self.inputs)))])
 
     def transition(self, state, action, draws):
-        after = state.copy()
+        after, chances = state.copy(), draws(1 + len(self.inputs))
         after[0] += 1.0
-        after[1] = self.reward_scale * (draws(1)[0] - 0.3 + 0.3 * (action.mean() > 0.0))
+        after[1] = self.reward_scale * (chances[0] - 0.3 + 0.3 * (action.sum() > 0.0))
         if self.hold and after[0] % self.hold == 0.0:
-            after[2:] = self._shown(draws)
+            after[2:] = self._shown(chances)
         return after
 
-    def _shown(self, draws):
-        return self.gain * (2.0 * draws(1 + len(self.inputs))[1:] - 1.0)
+    def _shown(self, chances):
+        return self.gain * (2.0 * chances[1:] - 1.0)
 
     def observation(self, state):
         return state[2:]
@@ -74,8 +74,8 @@ def topologies(draw):
     )
 
 
-@settings(max_examples=12)
-@given(
+TWELVE = settings(max_examples=12)
+RUNS = given(
     topology=topologies(),
     hold=st.sampled_from([0, 1, 2, 7, 1000]),
     beta=st.sampled_from([0.0, 0.5, 0.9, 0.995]),
@@ -84,13 +84,26 @@ def topologies(draw):
     seed=st.integers(0, 2**32 - 1),
     lane=st.integers(0, 1000),
 )
-def test_ten_thousand_steps_are_those_of_the_reference(
-    topology, hold, beta, gamma, scale, seed, lane
-):
+
+
+@TWELVE
+@RUNS
+def test_two_thousand_steps_are_those_of_the_reference(**run):
+    check_against_the_reference(2_000, **run)
+
+
+@pytest.mark.slow
+@TWELVE
+@RUNS
+def test_ten_thousand_steps_are_those_of_the_reference(**run):
+    check_against_the_reference(STEPS, **run)
+
+
+def check_against_the_reference(steps, *, topology, hold, beta, gamma, scale, seed, lane):
     task = Chatter(topology, hold, scale)
     learner = Learner(task, topology=topology, beta=beta, gamma=gamma, seed=seed, first_lane=lane)
-    fired, reference = follow(learner, task, STEPS)
-    assert np.array_equal(learner.advance(STEPS).fired, fired)
+    fired, reference = follow(learner, task, steps)
+    assert np.array_equal(learner.advance(steps).fired, fired)
     assert_close(learner.weights[:, 0], flat(reference.weights))
     assert_close(learner.traces[:, 0], flat(reference.traces))
 

@@ -21,7 +21,6 @@ import numpy as np
 import pytest
 import rerun as rr
 import rerun.blueprint as rrb
-from browser import browser_or_skip
 from PIL import Image
 from playwright.sync_api import Browser, Page, Request, Response
 from raw_client import wait_until
@@ -56,15 +55,10 @@ def shown(recording: Path) -> Iterator[Viewer]:
         yield one
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with browser_or_skip() as one:
-        yield one
-
-
 # In a browser
 
 
+@pytest.mark.slow
 def test_the_page_shows_the_recording_and_asks_no_other_machine(
     shown: Viewer, recording: Path, browser: Browser
 ) -> None:

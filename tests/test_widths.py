@@ -17,6 +17,8 @@ from sims.pendulum import Pendulum
 from sims.pendulum_lanes import PendulumLanes
 from sims.pendulum_physics import FARTHEST
 
+WIDEST = WIDTHS[-2] + 1
+"""Lanes that are in a tile of the widest kind, and leave most of it idle."""
 EXACT = {np.float64: 0.0, np.float32: 2e-7}
 """How far σ in float32 may be from σ, in probability."""
 
@@ -60,24 +62,30 @@ def test_draws_in_float32_are_those_of_float64_cut_to_24_bits():
 
 
 @pytest.mark.parametrize("name", ["sonar", "pendulum", "prediction"])
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_a_lane_is_the_same_in_a_tile_of_any_width(name, dtype):
+@pytest.mark.parametrize(
+    ("dtype", "few", "lanes"),
+    [(np.float64, 1, lanes) for lanes in (3, WIDTHS[-1], WIDTHS[-1] + 3)]
+    + [(np.float32, WIDEST, WIDTHS[-1] + 3)]
+    + [  # it takes long to compile the other widths for float32
+        pytest.param(np.float32, 1, lanes, marks=pytest.mark.slow) for lanes in (3, WIDTHS[-1])
+    ],
+)
+def test_a_lane_is_the_same_in_a_tile_of_any_width(name, dtype, few, lanes):
     """To the bit: alone, among a few, among many, and in a learner of several tiles."""
     steps, lane = 2300, 1
-    alone = Learner(compiled_task(name), seed=4, first_lane=lane, dtype=dtype)
-    alone.advance(steps)
-    for lanes in (3, WIDTHS[-1], WIDTHS[-1] + 3):
-        among = Learner(compiled_task(name), seed=4, lanes=lanes, dtype=dtype)
-        for part in (1, 700, steps - 701):
-            among.skip(part)
-        assert np.array_equal(alone.network[:, 0], among.network[:, lane], equal_nan=True)
-        assert np.array_equal(alone.world[:, 0], among.world[:, lane])
+    first = Learner(compiled_task(name), seed=4, first_lane=lane, lanes=few, dtype=dtype)
+    first.advance(steps)
+    among = Learner(compiled_task(name), seed=4, lanes=lanes, dtype=dtype)
+    for part in (1, 700, steps - 701):
+        among.skip(part)
+    assert np.array_equal(first.network[:, 0], among.network[:, lane], equal_nan=True)
+    assert np.array_equal(first.world[:, 0], among.world[:, lane])
 
 
 @pytest.mark.parametrize("name", ["sonar", "pendulum"])
 def test_float32_goes_on_exactly_after_saves_and_keyframes(name, tmp_path):
-    whole = Learner(compiled_task(name), seed=4, lanes=5, dtype="float32")
-    other = Learner(compiled_task(name), seed=4, lanes=5, dtype="float32")
+    whole = Learner(compiled_task(name), seed=4, lanes=WIDEST, dtype="float32")
+    other = Learner(compiled_task(name), seed=4, lanes=WIDEST, dtype="float32")
     whole.skip(2500)
     other.skip(1300)
     moment, path = other.keyframe(), save(other, tmp_path / "saved")
@@ -116,7 +124,7 @@ def test_float32_and_float64_learn_alike():
 
 
 def test_the_tally_of_float32_counts_beyond_what_float32_can():
-    learner = Learner(make_task("sonar"), lanes=2, dtype="float32")
+    learner = Learner(make_task("sonar"), lanes=WIDEST, dtype="float32")
     moment = learner.keyframe()
     big = moment.network.copy()
     rows = learner.layout.packed["tally"]
