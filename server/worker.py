@@ -61,6 +61,7 @@ from server.fork import Difference, Fork
 from server.history import Totals
 from server.picture import Other, Past, Picture
 from server.player import Player
+from server.preparing import Preparation
 from server.recording.recordings import Options, Recordings
 from server.run import Run
 from server.stuck import StuckLanes
@@ -100,6 +101,8 @@ class Worker(threading.Thread):
         self._fork: Fork | None = None
         self._pace = Pace()
         self._commands: queue.SimpleQueue[Command | None] = queue.SimpleQueue()
+        self._preparing: Preparation | None = None
+        self._waiting: list[Command] = []
         self._fresh = threading.Condition()
         self._picture: Picture | None = None
         self._stopping = threading.Event()
@@ -153,6 +156,7 @@ class Worker(threading.Thread):
             now = time.monotonic()
             try:
                 self._take_commands(wait=max(0.0, next_picture - now) if self._idle() else 0.0)
+                self._take_up_what_waits()
                 now = time.monotonic()
                 self._go_on(now - before)
                 before = now
@@ -169,7 +173,7 @@ class Worker(threading.Thread):
 
     def _idle(self) -> bool:
         """Whether nothing is to be stepped before the next picture."""
-        if self._player is not None:
+        if self._player is not None or self._preparing is not None:
             return True
         return self._single_steps == 0 and (self._paused or self._steps_owed() < 1)
 
@@ -192,7 +196,7 @@ class Worker(threading.Thread):
 
     def _go_on(self, seconds: float) -> None:
         """Run for a stretch: as many steps as are owed, or as fit into STRETCH_SECONDS."""
-        if self._player is not None:
+        if self._player is not None or self._preparing is not None:
             return
         if not self._paused:
             rate = self._rate()
@@ -249,6 +253,35 @@ class Worker(threading.Thread):
     # Commands
 
     def _obey(self, command: Command) -> None:
+        """Carry it out, in the order of the commands; after a choice that must be compiled first
+        they wait, but for pausing.
+        """
+        if self._preparing is not None and not isinstance(command, Pause):
+            self._waiting.append(command)
+        elif not isinstance(command, Choose) or self._is_prepared(command):
+            self._attempt(command)
+
+    def _is_prepared(self, command: Choose) -> bool:
+        """Whether a choice can be carried out at once; if not, it is as soon as it can be."""
+        preparation = Preparation(command, self._run.make_task)
+        preparation.start()
+        if preparation.is_ready():
+            return True
+        self._preparing = preparation
+        return False
+
+    def _take_up_what_waits(self) -> None:
+        """Carry out the choice that is prepared by now, and what was asked for after it."""
+        preparation = self._preparing
+        if preparation is None or preparation.is_alive():
+            return
+        self._preparing = None
+        waiting, self._waiting = self._waiting, []
+        self._attempt(preparation.command)
+        for command in waiting:
+            self._obey(command)
+
+    def _attempt(self, command: Command) -> None:
         try:
             self._carry_out(command)
         except (ValueError, TaskError) as error:
@@ -514,6 +547,7 @@ class Worker(threading.Thread):
             estimate=self._estimating.estimate,
             run_number=self._run_number,
             error=self._error,
+            preparing=None if self._preparing is None else self._preparing.words(),
             first=self._run.tape.first,
             past=self._past(),
             other=self._other(),
