@@ -73,6 +73,8 @@ PICTURES_PER_SECOND = 32.0
 """A little over 30, so that 30 that differ reach the page."""
 STRETCH_SECONDS = 0.012
 """Aim for one uninterrupted stretch of steps; a command waits at most about twice this."""
+LONGEST_STRETCH_SECONDS = 0.05
+"""A stretch is as long as that where the copy of its first moment, of many lanes, takes so long."""
 LONGEST_STRETCH = 200_000
 MOST_OWED_SECONDS = 0.25
 """A run that cannot keep up with its speed does not save up more than this."""
@@ -207,6 +209,7 @@ class Worker(threading.Thread):
             return
         began = time.monotonic()
         moment = self._run.moment()
+        copied = time.monotonic() - began
         try:
             block = self._run.advance(steps)
         except TaskError as error:
@@ -221,7 +224,7 @@ class Worker(threading.Thread):
         self._single_steps = max(0, self._single_steps - done)
         self._steps_made.append((began, done))
         computed = time.monotonic() - began
-        self._adapt(computed, done)
+        self._adapt(computed - copied, done, copied)
         passed, recorded = computed if self._rate() is None else seconds, moment.lane_size
         if self._pace.is_due(computed, passed, recorded):
             self._run.keep()
@@ -238,10 +241,14 @@ class Worker(threading.Thread):
             return 1.0 / dt if dt else None
         return float(self._speed)
 
-    def _adapt(self, seconds: float, steps: int) -> None:
-        if steps == self._stretch and seconds < STRETCH_SECONDS / 2:
+    def _adapt(self, seconds: float, steps: int, copied: float) -> None:
+        """Lengthen or shorten the next stretches by how long one took, besides the copy of its
+        first moment, which is to take the lesser part of the time.
+        """
+        aim = min(max(STRETCH_SECONDS, 2.0 * copied), LONGEST_STRETCH_SECONDS)
+        if steps == self._stretch and seconds < aim / 2:
             self._stretch = min(2 * self._stretch, LONGEST_STRETCH)
-        elif seconds > STRETCH_SECONDS and steps > 1:
+        elif seconds > aim and steps > 1:
             self._stretch = max(1, steps // 2)
 
     def _stop_run(self, error: str) -> None:
