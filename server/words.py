@@ -110,6 +110,8 @@ def _past(picture: Picture, past: Past) -> str:
 
 def warning(picture: Picture) -> str | None:
     """What must not be overlooked, None if all is well."""
+    if picture.preparing is not None:
+        return f"{picture.preparing}."
     if picture.error is not None:
         return picture.error
     if picture.past is None:
