@@ -31,8 +31,8 @@ WORLD = types.int64(STATE, STATE, STATE, KEYS, types.int64, STATE, PER_LANE, PER
 
 `world` (rows, lanes) is its state and is changed in place; `action` (outputs, lanes) holds the
 outputs' activities; `data` the constants of the task. It writes `observation` (inputs, lanes),
-`reward` (lanes) and `ended` (lanes; 1 where an episode ended) and returns 1 if any input changed,
-else 0.
+`reward` (lanes) and `ended` (lanes; 1 where an episode ended), zeros at first, where they differ
+from those of the step before, and returns 1 if any input changed, else 0.
 """
 
 
@@ -179,7 +179,7 @@ def engine(width: int) -> Engine:
     ):  # fmt: skip
         """`n` steps of a compiled world, the first of them number `start`."""
         action = np.empty((at(table[0], rule.OUTPUTS), width))
-        reward, ended, replaced = np.empty(width), np.empty(width), np.empty(width)
+        reward, ended, replaced = np.zeros(width), np.zeros(width), np.empty(width)
         words = np.empty((2 * BLOCK, width), np.uint32)
         sent = modulated if modulated.shape[0] > 0 else reward
         if instead.shape[0] > 0:

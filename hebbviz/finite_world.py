@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from hebbviz.chance import WORLD, four_uniforms
 from hebbviz.engine import WORLD as WORLD_SIGNATURE
 from hebbviz.exact import ExactNetwork
+from hebbviz.limits import check_places
 from hebbviz.pomdp import POMDP
 from hebbviz.task import CompiledTask, Input, Output, Preset
 from hebbviz.topology import SYMMETRIC, Activity, Topology
@@ -154,6 +155,11 @@ class FiniteWorld(CompiledTask):
 
     def reward(self, state: Array) -> float:
         return float(self.pomdp.rewards[int(state[_X])])
+
+    def check_states(self, states: Array) -> None:
+        ends = (self.pomdp.states, self.pomdp.sights, self._base**self.past)
+        for what, column, end in zip(("x", "y", "the past"), states.T, ends, strict=False):
+            check_places(what, column, end)
 
     def history(self, states: Array) -> tuple[Whole, Whole]:
         """x and y of the `past` steps before and of the present one, each (n, past + 1).

@@ -479,7 +479,7 @@ class Learner:
     def restore(self, keyframe: Keyframe) -> None:
         """Go to a moment of this learner, or of one of the same task and topology, with its rule.
 
-        Raises ValueError if the keyframe's arrays do not fit.
+        Raises ValueError if the keyframe's arrays do not fit, or the world cannot be in its state.
         """
         shape = (self.layout.packed[SECTIONS[-1]].stop, self.lanes)
         if keyframe.network.shape != shape:
@@ -491,6 +491,7 @@ class Learner:
                 f"a keyframe of this task has a world of shape {self.world.shape}, "
                 f"got {keyframe.world.shape}"
             )
+        self.task.check_states(keyframe.world.T)
         remembered = (len(keyframe.rule.memory), self.lanes)
         if keyframe.memory.shape != remembered:
             raise ValueError(

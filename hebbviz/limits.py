@@ -62,6 +62,13 @@ def check_lane(lane: int, lanes: int) -> int:
     return lane
 
 
+def check_places(what: str, places: Any, end: float) -> None:
+    """Raise ValueError unless all are whole numbers from 0 to before `end`."""
+    values = np.asarray(places)
+    if not ((values >= 0) & (values < end) & (values == np.floor(values))).all():
+        raise ValueError(f"{what} must be a whole number from 0 to before {end:g}")
+
+
 def check_dtype(dtype: Any) -> type[np.floating[Any]]:
     """float32 or float64 as a type; raises ValueError for anything else."""
     for known in (np.float32, np.float64):

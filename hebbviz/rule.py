@@ -148,26 +148,24 @@ def _fire(state, table, width, words, keys, step, low, high, clamped):  # type: 
 
 @inlined
 def _draw_one(state, words, width, keys, step, block):  # type: ignore[no-untyped-def]
-    """A block of random numbers."""
-    seed, number = row(keys, 0, width), row(keys, 1, width)
+    """A block of random numbers. All lanes have one seed."""
+    seed, number = keys[0, 0], row(keys, 1, width)
     w0, w1 = row(words, 0, width), row(words, 1, width)
     w2, w3 = row(words, 2, width), row(words, 3, width)
     for lane in range(count(state, width)):
-        w0[lane], w1[lane], w2[lane], w3[lane] = four_words(
-            seed[lane], number[lane], SPIKES, step, block
-        )
+        w0[lane], w1[lane], w2[lane], w3[lane] = four_words(seed, number[lane], SPIKES, step, block)
 
 
 @inlined
 def _draw_two(state, words, width, keys, step, block):  # type: ignore[no-untyped-def]
     """Two blocks of random numbers."""
-    seed, number = row(keys, 0, width), row(keys, 1, width)
+    seed, number = keys[0, 0], row(keys, 1, width)
     w0, w1 = row(words, 0, width), row(words, 1, width)
     w2, w3 = row(words, 2, width), row(words, 3, width)
     w4, w5 = row(words, 4, width), row(words, 5, width)
     w6, w7 = row(words, 6, width), row(words, 7, width)
     for lane in range(count(state, width)):
-        first, second = eight_words(seed[lane], number[lane], SPIKES, step, block)
+        first, second = eight_words(seed, number[lane], SPIKES, step, block)
         w0[lane], w1[lane], w2[lane], w3[lane] = first
         w4[lane], w5[lane], w6[lane], w7[lane] = second
 
@@ -176,15 +174,15 @@ def _draw_two(state, words, width, keys, step, block):  # type: ignore[no-untype
 def _spike(state, n, width, word, low, high):  # type: ignore[no-untyped-def]
     """Let the neuron of record n fire with probability σ(v)."""
     kind = state.dtype.type
-    silent, apart, one, zero = kind(low), kind(high - low), kind(1), kind(0)
+    silent, active, one, zero = kind(low), kind(high), kind(1), kind(0)
     u, before, v = row(state, n + U, width), row(state, n + BEFORE, width), row(state, n + V, width)
     surprise = row(state, n + SURPRISE, width)
     for lane in range(count(state, width)):
         expected = sigmoid(v[lane])
-        fires = one if unit(word[lane], zero) < expected else zero
-        surprise[lane] = fires - expected
+        fires = unit(word[lane], zero) < expected
+        surprise[lane] = (one if fires else zero) - expected
         before[lane] = u[lane]
-        u[lane] = silent + fires * apart
+        u[lane] = active if fires else silent
 
 
 @inlined
@@ -204,16 +202,16 @@ def _remember(state, table, width):  # type: ignore[no-untyped-def]
     """Equation (neuron-zupdate) for every synapse, from the activities of the step before."""
     for k in range(at(table[0], PROJECTIONS)):
         p, q = table[k + 1], at(table[0], FIRST_PROJECTION) + k * A_PROJECTION
-        beta, decay = row(state, q + BETA, width), row(state, q + DECAY, width)
+        beta, decay = row(state, q + BETA, width)[0], row(state, q + DECAY, width)
         if at(p, _IS_HELD):
             for lane in range(count(state, width)):
-                decay[lane] *= beta[lane]
+                decay[lane] *= beta
         for i in range(at(p, _POST_SIZE)):
             surprise = row(state, at(p, _POST) + i * A_NEURON + SURPRISE, width)
             if at(p, _IS_HELD):
                 z_input = row(state, at(p, _HELD) + i * _A_HELD + Z_INPUT, width)
                 for lane in range(count(state, width)):
-                    z_input[lane] = beta[lane] * z_input[lane] + surprise[lane]
+                    z_input[lane] = beta * z_input[lane] + surprise[lane]
             else:
                 for j in range(at(p, _PRE_SIZE)):
                     y = at(p, _SYNAPSE) + (i * at(p, _PRE_SIZE) + j) * _A_SYNAPSE
@@ -222,7 +220,7 @@ def _remember(state, table, width):  # type: ignore[no-untyped-def]
                         row(state, at(p, _PRE) + j * A_NEURON + BEFORE, width),
                     )
                     for lane in range(count(state, width)):
-                        z[lane] = beta[lane] * z[lane] + surprise[lane] * u[lane]
+                        z[lane] = beta * z[lane] + surprise[lane] * u[lane]
 
 
 @inlined
@@ -231,9 +229,9 @@ def reinforce(state, table, width):  # type: ignore[no-untyped-def]
     reward = row(state, at(table[0], REWARD) + 1, width)
     for k in range(at(table[0], PROJECTIONS)):
         p, q = table[k + 1], at(table[0], FIRST_PROJECTION) + k * A_PROJECTION
-        gamma, push = row(state, q + GAMMA, width), row(state, q + PUSH, width)
+        gamma, push = row(state, q + GAMMA, width)[0], row(state, q + PUSH, width)
         for lane in range(count(state, width)):
-            push[lane] = gamma[lane] * reward[lane]
+            push[lane] = gamma * reward[lane]
         if at(p, _IS_HELD):
             gain, decay = row(state, q + GAIN, width), row(state, q + DECAY, width)
             for lane in range(count(state, width)):

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from hebbviz.switches import Switch, UnknownPreset, find_preset, is_on, spelled
 from hebbviz.topology import SYMMETRIC, Activity, Topology, feedforward
 
 if TYPE_CHECKING:
@@ -171,6 +172,8 @@ class Task:
     """Seconds that a step lasts; None for a task that has no time but its steps."""
     epoch: int | None = None
     """Steps of one pass over a training set; None for a task that has none."""
+    switches: ClassVar[tuple[Switch, ...]] = ()
+    """What can be switched on or off beside any preset."""
     hidden: ClassVar[tuple[int, ...]] = (8,)
     """Sizes of the hidden layers, where the preset brings none of its own."""
     activity: ClassVar[Activity] = SYMMETRIC
@@ -193,12 +196,41 @@ class Task:
     inputs: tuple[Input, ...]
 
     def __init__(self, preset: str | None = None) -> None:
-        name = next(iter(self.presets)) if preset is None else preset
-        if name not in self.presets:
-            known = ", ".join(self.presets)
-            raise ValueError(f"task {self.name!r} has no preset {name!r}; it has: {known}")
-        self.preset_name = name
-        self.preset = self.presets[name]
+        self.preset_name, self.preset = self.find_preset(preset)
+
+    def find_preset(self, spec: str | None) -> tuple[str, Preset]:
+        """The preset of a name, as `switches.find_preset` reads it, and its shortest name; the
+        task's first for None.
+
+        Raises UnknownPreset for a preset or a switch that the task does not have.
+        """
+        wanted = next(iter(self.presets)) if spec is None else spec
+        try:
+            return find_preset(self.presets, self.switches, wanted)
+        except UnknownPreset as error:
+            raise UnknownPreset(f"task {self.name!r} has {error}") from error
+
+    @property
+    def plain_preset(self) -> str:
+        """The preset's name without what was switched."""
+        name = self.preset_name
+        return name if name in self.presets else name.partition(":")[0]
+
+    @property
+    def settings(self) -> dict[str, bool]:
+        """Which of the switches are on."""
+        return {s.name: is_on(self.preset, s) for s in self.switches}
+
+    @property
+    def note(self) -> str:
+        """What the preset and the switches that are on make of it, in a sentence."""
+        return "; ".join(
+            (self.preset.note, *(s.words for s in self.switches if is_on(self.preset, s)))
+        )
+
+    def switched(self, name: str, on: bool) -> str:
+        """The name of this setting with one of the switches set."""
+        return self.find_preset(spelled(self.plain_preset, self.settings | {name: on}))[0]
 
     # The world
 
@@ -232,6 +264,12 @@ class Task:
     def press(self, state: Array, control: str) -> Array:
         """The state after a button of `controls` was pressed."""
         return state
+
+    def check_states(self, states: Array) -> None:
+        """Raise ValueError if one of the states (n, numbers), read from a file, cannot be.
+
+        For what compiled code would trip over unseen, such as a number that it looks up a table by.
+        """
 
     def in_lanes(self) -> Task:
         """The same world compiled, for many lanes at once; itself where there is no other."""

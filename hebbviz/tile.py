@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hebbviz import held
 from hebbviz.chance import SPIKES, uniforms
 from hebbviz.engine import FALL_EVERY, engine, probabilities
-from hebbviz.layout import WIDTHS, Layout, aligned, width_for
+from hebbviz.layout import NEURON, WIDTHS, Layout, aligned, width_for
 from hebbviz.rules import Rule
 from hebbviz.rules.paper import PAPER
 
@@ -74,7 +74,9 @@ class Tile:
         self._gamma, self._fall = np.zeros((len(layout.topology.projections), self.width)), np.inf
         self.reward, self.ended = np.zeros(self.width), np.zeros(self.width)
         self._observed = aligned(layout.topology.inputs, self.width)
-        self._output = layout.where["activity"][layout.topology.units_of(layout.topology.output)]
+        output = layout.where["activity"][layout.topology.units_of(layout.topology.output)]
+        self._output = slice(output[0], output[-1] + 1, len(NEURON))
+        self._stands_for = np.minimum(np.arange(self.width), lanes - 1)
         self._clamped = False
         self._responded: int | None = None
         self._responded_before: int | None = None
@@ -87,7 +89,7 @@ class Tile:
         self._modulated = np.zeros(0 if rule == PAPER else self.width)
         self.memory = np.zeros((len(rule.memory), self.lanes))
         arrays = (self.network, self.totals, self.memory)
-        self._kept = [(np.empty_like(array), array) for array in arrays]
+        self._kept = [(np.empty_like(array), array) for array in arrays if array.size]
 
     # Its numbers
 
@@ -163,9 +165,7 @@ class Tile:
 
     def _to_width(self, values: Array | float) -> Any:
         """For the lanes that idle, what the last one has."""
-        if np.ndim(values) == 0:
-            return values
-        return np.pad(values, ((0, 0), (0, self.width - self.lanes)), mode="edge")
+        return values if np.ndim(values) == 0 else np.take(values, self._stands_for, axis=1)
 
     # Steps
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import dataclass
+
 import numpy as np
 import viser
 from numpy.typing import NDArray
@@ -20,16 +23,82 @@ further away."""
 LABELS = 1.4
 """Room for the labels at the left of a network."""
 FURTHEST = 4.0
+SHEET, WITH_SHEET = 0.42, 0.6
+"""In a window of this width by height or less, the panels stand in a sheet over the lower part of
+the scene, of this share."""
+FURTHER_WITH_SHEET = 1.15
+"""Room for the labels, which are as large in a narrow window as in another."""
+NEAR_ENOUGH = 0.02
+"""Of a camera to where it is to stand, in scene units."""
+SECONDS = 5.0
+"""For so long it is seen to that a tab's camera comes to stand where it is to."""
+
+
+@dataclass
+class _Told:
+    """A view that a tab was turned to, and how wide its window was when it came to stand there."""
+
+    view: str
+    until: float
+    aspect: float | None = None
+
+
+class Cameras:
+    """Turns the tabs' cameras, and sees to it that they come to stand there.
+
+    One that has just opened may go to its initial camera once more, and its panels may be about to
+    make its window narrower. What a hand does to a camera that has come to stand is left alone.
+    """
+
+    def __init__(self) -> None:
+        self._told: dict[int, _Told] = {}
+
+    def turn(self, client: viser.ClientHandle, view: str, picture: Picture) -> None:
+        """Turn one tab's camera to a view, from further away where the window is narrow."""
+        self._told[client.client_id] = _Told(view, time.monotonic() + SECONDS)
+        look_at(client, view, picture)
+
+    def forget(self, client: viser.ClientHandle) -> None:
+        """One that has gone."""
+        self._told.pop(client.client_id, None)
+
+    def settle(self, client: viser.ClientHandle, picture: Picture) -> None:
+        """Turn it once more if it was turned lately, and does not stand there for want of that."""
+        told = self._told.get(client.client_id)
+        if told is None:
+            return
+        aspect = client.camera.aspect
+        if time.monotonic() > told.until:
+            del self._told[client.client_id]
+        elif _stands_at(client, _pose(client, told.view, picture)):
+            told.aspect = aspect
+        elif told.aspect != aspect or _stands_at(client, view_of(OVERVIEW, picture)):
+            look_at(client, told.view, picture)
 
 
 def look_at(client: viser.ClientHandle, view: str, picture: Picture) -> None:
-    """Turn one tab's camera, from further away where the window is narrow."""
+    position, target = _pose(client, view, picture)
+    with client.atomic():
+        client.camera.position = position
+        client.camera.look_at = target
+
+
+def _pose(client: viser.ClientHandle, view: str, picture: Picture) -> tuple[Array, Array]:
+    """Where one tab's camera is to stand, and what it is to look at."""
     position, target = (np.array(p) for p in view_of(view, picture))
     wide = WHOLE_ASPECT if picture.other is None else _wide_enough(client.camera.fov, picture)
     back = float(np.clip(wide / client.camera.aspect, 1.0, FURTHEST))
-    with client.atomic():
-        client.camera.position = target + back * (position - target)
-        client.camera.look_at = target
+    away = back * (position - target)
+    if client.camera.aspect <= WITH_SHEET:  # the middle of what is above the sheet
+        away = FURTHER_WITH_SHEET * away
+        height = 2.0 * np.linalg.norm(away) * np.tan(client.camera.fov / 2)
+        target = target - (0.0, 0.0, 0.4 * SHEET * height)
+    return target + away, target
+
+
+def _stands_at(client: viser.ClientHandle, pose: tuple[Array, Array]) -> bool:
+    away = client.camera.position - pose[0], client.camera.look_at - pose[1]
+    return bool(np.abs(away).max() < NEAR_ENOUGH)
 
 
 def view_of(view: str, picture: Picture) -> tuple[Array, Array]:

@@ -135,12 +135,19 @@ class Chart:
             self._plot.data = data
         else:
             self._more, self._has_cursor = dict(more), cursor is not None
-            order = self._plot.order
-            self._plot.remove()
-            self._add(data, order)
+            self._replace(data)
+
+    def renew(self) -> None:
+        """Make it anew with what it shows; viser's charts do not survive a change of theme."""
+        self._replace(self._plot.data)
 
     def remove(self) -> None:
         self._plot.remove()
+
+    def _replace(self, data: tuple[Array, ...]) -> None:
+        order = self._plot.order
+        self._plot.remove()
+        self._add(data, order)
 
     def _fit(self, values: Array) -> bool:
         """Whether the values fit the vertical axis; if not, its span is another from now on."""

@@ -165,17 +165,21 @@ class SetSpeed:
 class Reset:
     """Start again with the set β, γ and rule, from the same seed or from another, with as many
     lanes or another number: lane k of a seed is the same run whatever lanes are beside it, unless
-    the rule lets lanes touch each other.
+    the rule lets lanes touch each other. `switch` sets one of the task's switches.
     """
 
     seed: int | None = None
     lanes: int | None = None
+    switch: tuple[str, bool] | None = None
 
     def __post_init__(self) -> None:
         if self.lanes is not None and not 1 <= self.lanes <= MOST_SHOWN_LANES:
             raise ValueError(f"lanes must be from 1 to {MOST_SHOWN_LANES}, got {self.lanes}")
 
     def __str__(self) -> str:
+        if self.switch is not None:
+            name, on = self.switch
+            return f"{name} {'on' if on else 'off'}"
         if self.lanes is not None:
             return f"{self.lanes} lane{'s' * (self.lanes != 1)}"
         return "reset" if self.seed is None else f"new seed {self.seed}"

@@ -9,6 +9,7 @@ from typing import Any
 import viser
 
 from hebbviz.chance import LARGEST_SEED
+from hebbviz.switches import Switch
 from hebbviz.task import Control, Task
 from hebbviz.topology import parse_hidden
 from server import words
@@ -55,6 +56,7 @@ class Controls:
         self._ui, self._gui = widgets, widgets.gui
         self._task_buttons: list[Any] = []
         self._task_keys: list[Any] = []
+        self._switches: dict[str, Any] = {}
         self._shown_task: tuple[str, str] | None = None
         self._paused = False
         gui = widgets.gui
@@ -221,10 +223,27 @@ class Controls:
         assign(self.task, "options", names)
         assign(self.task, "value", picture.task_name)
         assign(self.preset, "options", tuple(task.presets))
-        assign(self.preset, "value", task.preset_name)
-        self.preset_note.content = f"{task.summary}. *{task.preset.note}.*"
+        assign(self.preset, "value", task.plain_preset)
+        self.preset_note.content = f"{task.summary}. *{task.note}.*"
         assign(self.amount, "value", task.hand_reward)
+        self._build_switches(task)
         self._build_task_buttons(task)
+
+    def _build_switches(self, task: Task) -> None:
+        """What the task can have on or off, below its preset."""
+        for handle in self._switches.values():
+            handle.remove()
+        with self._run_folder:
+            self._switches = {s.name: self._add_switch(s, task) for s in task.switches}
+
+    def _add_switch(self, switch: Switch, task: Task) -> Any:
+        handle = self._gui.add_checkbox(
+            switch.name, task.settings[switch.name], order=self.preset_note.order + 0.5,
+            hint=f"{switch.words}. Another choice starts a new run with the β, γ, rule and network "
+            "that are set",
+        )  # fmt: skip
+        self._ui.when(handle, lambda v: Reset(switch=(switch.name, bool(v))))
+        return handle
 
     def _build_task_buttons(self, task: Task) -> None:
         for handle in (*self._task_buttons, *self._task_keys):

@@ -32,7 +32,7 @@ class Learning:
 
     def __init__(self, gui: viser.GuiApi, tab: Any, picture: Picture, theme: Theme) -> None:
         task, lanes = picture.task, picture.lanes
-        self._scores = Scores(task)
+        self._scores, self._ghost_scores = Scores(task), Scores(task)
         self._has_lanes = lanes > 1
         self._run = "watched lane" if self._has_lanes else "this run"
         self._middle = f"{spread.names(task.measure)[0]} of {lanes} lanes"
@@ -60,6 +60,9 @@ class Learning:
         for handle in (self._chart, self._style, self._words):
             handle.remove()
 
+    def renew(self) -> None:
+        self._chart.renew()
+
     def draw(self, picture: Picture) -> None:
         curve, all_lanes = picture.curve, None
         if self._has_lanes:
@@ -71,14 +74,24 @@ class Learning:
             points[self._middle], bands[self._middle] = _drawn(all_lanes)
         for name, of_copies in _frozen(picture).items():
             points[name], bands[name] = _drawn(of_copies)
-        if picture.ghost is not None:
-            points["earlier run"] = _scores(picture, picture.ghost)[0]
+        points |= self._earlier(picture)
         more = others(picture)
         if picture.other is not None:
             points |= dict.fromkeys(more, _scores(picture, since(picture.other))[0])
         self._chart.draw(points, marks(picture), bands=bands, cursor=cursor(picture), more=more)
         at_least = len(points["at least"][0]) > 0
         self._words.content = _said(picture, curve, all_lanes, at_least=at_least)
+
+    def _earlier(self, picture: Picture) -> dict[str, Points]:
+        """The run before: the middle of its lanes. Of one lane alone the windows are too unlike
+        each other to be read beside the middle of many.
+        """
+        ghost = picture.ghost
+        if ghost is None or (self._has_lanes and ghost.lanes == 1):
+            return {}
+        if ghost.lanes == 1:
+            return {"earlier run": _scores(picture, ghost.lane(0))[0]}
+        return {"earlier run": _drawn(self._ghost_scores.spread(ghost.coarser(MOST_WINDOWS)))[0]}
 
 
 # What other charts of a run show too

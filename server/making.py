@@ -88,20 +88,25 @@ def saved_task(args: argparse.Namespace, file: str | Path, name: str, preset: st
     from sims import TASKS
     from sims.loading import make_task
 
-    given = getattr(args, "preset", None)
-    if given not in (None, preset):
-        raise _contradiction(file, "--preset", given, preset)
     if name in TASKS:
         if args.task not in (None, name):
             raise _contradiction(file, "--task", args.task, name)
-        return make_task(name, preset)
+        return _at_preset(args, file, make_task(name, preset))
     if args.task is None:
         raise InputError(
             f"{file} holds a task of yours, {name!r}: name its file again, with --task path.py:Name"
         )
     if args.task in TASKS or (".py:" in name and _class_of(name) != _class_of(args.task)):
         raise _contradiction(file, "--task", args.task, name)
-    return make_task(args.task, preset)
+    return _at_preset(args, file, make_task(args.task, preset))
+
+
+def _at_preset(args: argparse.Namespace, file: str | Path, task: Task) -> Task:
+    """The task itself, if it is at the preset that was asked for."""
+    given = getattr(args, "preset", None)
+    if given is not None and task.find_preset(given)[0] != task.preset_name:
+        raise _contradiction(file, "--preset", given, task.preset_name)
+    return task
 
 
 def _class_of(spec: str) -> str:

@@ -157,7 +157,10 @@ def _add_task(parser: argparse.ArgumentParser) -> None:
         help="pendulum, sonar, synapse, gradient, prediction, filtering, or your own as "
         f"path.py:Name (default {DEFAULT_TASK})",
     )  # fmt: skip
-    parser.add_argument("--preset", metavar="P", help="a setting of the task (default its first)")
+    parser.add_argument(
+        "--preset", metavar="P",
+        help="a setting of the task (default its first); with a switch as best:centred=no",
+    )  # fmt: skip
     parser.add_argument(
         "--hidden", type=_hidden, metavar="SIZES",
         help="hidden layers, as 16 or 8,8 or none (default the task's)",
@@ -308,7 +311,9 @@ def _add_figure(commands: Any) -> None:
         "--task", metavar="T", help="for learning: a task by name, or your own as path.py:Name"
     )
     figure.add_argument(
-        "--preset", metavar="P", help="a setting of the task (default the figure's own)"
+        "--preset",
+        metavar="P",
+        help="a setting of the task (default the figure's own); with a switch as best:centred=no",
     )
     figure.add_argument(
         "--lanes", type=_whole("lanes", 1, MOST_LANES), metavar="N",

@@ -33,10 +33,9 @@ TEXT_SECONDS = 0.2
 COLUMN = 348
 """Width of the panels with the charts."""
 NOTICE_SECONDS = 6.0
-CAMERA_SECONDS = 0.7
-"""A page that has just opened is still going to its initial camera."""
-THEME_SECONDS = 0.6
-"""A page takes a while to change its theme; charts that are made meanwhile lose their axes."""
+THEME_SECONDS = (0.6, 2.0, 6.0)
+"""A page takes a while to change its theme, and charts that are made meanwhile lose their axes: all
+is made anew first, and after that the charts, for pages that took longer."""
 
 GONE = """<style>
 .gone { display: none; margin: 0 0.75em 0.5em; padding: 0.5em 0.75em; border-radius: 4px;
@@ -45,6 +44,19 @@ GONE = """<style>
 </style><div class="gone">The server is gone: this picture is the last one. Start hebbviz again
 and this page will go on by itself.</div>"""
 """viser's page makes its panels deaf when it loses the server; that is when this is shown."""
+
+
+SHEET = f"""<style>
+@media (max-width: 36em) {{
+  .mantine-Paper-root[style*="max-height: 60%"] {{
+    max-height: {100 * camera.SHEET:g}% !important; width: 100% !important; }}
+  .mantine-Paper-root[style*="max-height: 60%"] [style*="width: 20em"] {{
+    width: 100% !important; }}
+}}
+</style>"""
+"""Narrow windows have viser's panels in a sheet that opens over the scene, and that no server can
+close; it is kept so low that the scene is seen above it, see `camera`.
+"""
 
 
 class Page:
@@ -61,7 +73,9 @@ class Page:
         self._stage: Stage | None = None
         self._other_stage: Stage | None = None
         self._panels: Panels | None = None
-        self._text_at = self._rebuild_at = 0.0
+        self._cameras = camera.Cameras()
+        self._text_at = 0.0
+        self._renew_at: list[float] = []
         self._drawn_at: deque[float] = deque(maxlen=60)
         self._probes: tuple[int, ...] = ()
         self._worker: Worker | None = None
@@ -103,7 +117,7 @@ class Page:
             )
         gui.main_panel.dock_right()
         gui.main_panel.set_width(340)
-        gui.add_html(GONE)
+        gui.add_html(GONE + SHEET)
         self._status = gui.add_markdown("")
         self._warning = gui.add_markdown("", visible=False)
         self._build_controls(Widgets(gui, worker.send, self.notify), picture.seed)
@@ -223,12 +237,9 @@ class Page:
         self._connected(client)
         if len(self._server.get_clients()) == 1 and self._worker is not None:
             self._worker.send(ShowBeginning())
-        narrow = client.camera.aspect < camera.WHOLE_ASPECT
-        if narrow:
+        if client.camera.aspect < camera.WHOLE_ASPECT:
             client.gui.main_panel.minimize()
-        if narrow or self._other_stage is not None:
-            time.sleep(CAMERA_SECONDS)
-            self._look_at(client, camera.OVERVIEW)
+        self._look_at(client, camera.OVERVIEW)
 
     def _connected(self, client: viser.ClientHandle) -> None:
         with self._lock:
@@ -244,6 +255,7 @@ class Page:
     def _disconnected(self, client: viser.ClientHandle) -> None:
         with self._lock:
             self._inspectors.pop(client.client_id, None)
+            self._cameras.forget(client)
 
     def _pick_unit(self, client: viser.ClientHandle, unit: int) -> None:
         with self._lock:
@@ -261,9 +273,8 @@ class Page:
         with self._lock:
             if self._theme_changed:
                 self._set_theme()
-                self._rebuild_at = time.monotonic() + THEME_SECONDS
-            if self._identity(picture) != self._built and time.monotonic() > self._rebuild_at:
-                self._rebuild(picture)
+                self._renew_at = [time.monotonic() + s for s in THEME_SECONDS]
+            self._renew(picture)
             if picture.live.topology != self._looks.topology:
                 return
             with self._server.atomic():
@@ -274,6 +285,19 @@ class Page:
             self._drawn_at.append(time.monotonic())
             if time.monotonic() - self._text_at > TEXT_SECONDS:
                 self._write(picture)
+
+    def _renew(self, picture: Picture) -> None:
+        """Make anew what belongs to another task, network or theme, once the theme is there."""
+        due = bool(self._renew_at) and time.monotonic() > self._renew_at[0]
+        if due:
+            self._renew_at.pop(0)
+        if self._identity(picture) != self._built:
+            if due or not self._renew_at:
+                self._rebuild(picture)
+        elif due and self._panels is not None:
+            self._panels.renew()
+            for inspector in self._inspectors.values():
+                inspector.renew()
 
     def _draw_copies(self, picture: Picture) -> None:
         still = picture.paused and picture.excerpt is None
@@ -304,6 +328,8 @@ class Page:
         )  # fmt: skip
         for inspector in self._inspectors.values():
             inspector.draw(picture)
+        for client in self._server.get_clients().values():
+            self._cameras.settle(client, picture)
         self._ask_probes()
 
     def _ask_probes(self) -> None:
@@ -334,4 +360,4 @@ class Page:
 
     def _look_at(self, client: viser.ClientHandle, view: str) -> None:
         if self._worker is not None and self._worker.latest is not None:
-            camera.look_at(client, view, self._worker.latest)
+            self._cameras.turn(client, view, self._worker.latest)

@@ -40,11 +40,13 @@ class Picture:
     """All that a view may show. `shown` is the excerpt's frame while one plays, or a step of the
     `past` while that is shown, else `live`. The past goes back to step `first`.
 
-    All is of the watched `lane`, but for `curves`, which are of all lanes, and `evaluations`.
+    All is of the watched `lane`, but for `curves`, which are of all lanes, `evaluations`, the
+    `ghost`, which is the curves of the run before, and the lanes that are `stuck`.
 
     `recent` holds every one of the latest steps up to `shown`, as far as they follow on one
     another; `shown_trail` and `live_trail` the latest frames, likewise, so that a view that skips
-    pictures misses nothing. `made_at` is time.monotonic().
+    pictures misses nothing. `made_at` is time.monotonic(). `preparing` says what a choice still
+    waits for.
     """
 
     number: int
@@ -64,7 +66,8 @@ class Picture:
     excerpt: Excerpt | None
     curve: Curve
     curves: Curves
-    ghost: Curve | None
+    ghost: Curves | None
+    stuck: tuple[int, ...]
     changes: Sequence[Logged]
     paused: bool
     speed: Speed
@@ -76,6 +79,7 @@ class Picture:
     estimate: Estimate | None
     run_number: int
     error: str | None
+    preparing: str | None
     first: int
     past: Past | None
     other: Other | None

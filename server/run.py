@@ -16,7 +16,7 @@ from hebbviz.moments import Block, Frame
 from hebbviz.rules import make_rule
 from hebbviz.task import Tally, Task
 from server.commands import Change, Choose, Logged, Reset
-from server.history import Curve, History, Totals, usual_window
+from server.history import Curves, History, Totals, usual_window
 from server.recording.thinning import MOST_APART, Plan
 from server.tape import MOST_BYTES, Moment, Tape
 
@@ -77,7 +77,7 @@ class UndoPoint:
     history: History
     tape: Tape
     stored: Stored | None
-    ghost: Curve | None
+    ghost: Curves | None
     words: str
 
 
@@ -94,7 +94,7 @@ class Run:
         self.learner = learner
         self.task_name = task_name or learner.task.name
         self.log: list[Logged] = []
-        self.ghost: Curve | None = None
+        self.ghost: Curves | None = None
         self.history = _new_history(learner)
         self.tape = _new_tape(learner)
         self.followers: list[Follower] = []
@@ -145,10 +145,15 @@ class Run:
             follower.change(self, self.log[-1])
 
     def reset(self, command: Reset) -> None:
-        """The same task and network from step 0, with the β, γ and rule that are set."""
+        """The same task and network from step 0, with the β, γ and rule that are set, and the
+        task's switches, of which the command may set one.
+        """
         old = self.learner
+        task = old.task
+        if command.switch is not None:
+            task = self.make_task(self.task_name, task.switched(*command.switch))
         fresh = Learner(
-            old.task, topology=old.topology, beta=old.beta, gamma=old.gamma, rule=old.rule,
+            task, topology=old.topology, beta=old.beta, gamma=old.gamma, rule=old.rule,
             fall=old.fall, seed=old.seed if command.seed is None else command.seed,
             lanes=old.lanes if command.lanes is None else command.lanes,
             first_lane=old.first_lane,
@@ -156,9 +161,9 @@ class Run:
         fresh.freeze(old.frozen)
         _look_at_the_same(fresh, old)
         self._remember(str(command))
-        ghost = self.history.curves(Totals.of(old)).lane(old.watch)
+        ghost = self.history.curves(Totals.of(old))
         self._leap("the run was reset")
-        self._begin(fresh, self.task_name, ghost if len(ghost.end) else self.ghost)
+        self._begin(fresh, self.task_name, ghost if len(ghost.edges) > 1 else self.ghost)
 
     def choose(self, command: Choose) -> None:
         """Another task, preset or network, with the preset's β, γ and rule.
@@ -241,7 +246,7 @@ class Run:
         )  # fmt: skip
         del self._undo[: -max(1, min(MOST_UNDOS, MOST_UNDO_BYTES // self.moment_size))]
 
-    def _begin(self, learner: Learner, task_name: str, ghost: Curve | None) -> None:
+    def _begin(self, learner: Learner, task_name: str, ghost: Curves | None) -> None:
         self.learner, self.task_name, self.ghost = learner, task_name, ghost
         self.log, self.history, self.tape = [], _new_history(learner), _new_tape(learner)
         self.stored = None

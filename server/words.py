@@ -16,16 +16,13 @@ from server.picture import Other, Past, Picture
 from server.player import Check
 from server.recording.status import Status
 from server.recording.thinning import words as size_of
+from server.stuck import ENOUGH_STEPS, Sign, sign
 from server.trail import moved
 
 Array = NDArray[np.float64]
 
-CONSTANT = 0.995
-"""An output that does the same in this share of the steps, or more, counts as constant."""
-SATURATED = 12.0
-"""|v| beyond which a neuron's spikes are certain, to about 1 in 10⁵."""
-ENOUGH_STEPS = 20_000
-"""Long enough for many patterns or many falls."""
+MOST_NAMED = 5
+"""Of the lanes that are stuck so many are named."""
 
 
 def count(n: float) -> str:
@@ -113,11 +110,16 @@ def _past(picture: Picture, past: Past) -> str:
 
 def warning(picture: Picture) -> str | None:
     """What must not be overlooked, None if all is well."""
+    if picture.preparing is not None:
+        return f"{picture.preparing}."
     if picture.error is not None:
         return picture.error
     if picture.past is None:
         why = stuck(picture.live_trail)
-        return f"Lane {picture.lane}: {why}" if why and picture.lanes > 1 else why
+        if picture.lanes == 1:
+            return why
+        told = (stuck_lanes(picture), f"Lane {picture.lane}: {why}" if why else None)
+        return "  \n".join(filter(None, told)) or None
     return f"{picture.past.check.value}." if picture.past.check is Check.DIFFERS else None
 
 
@@ -171,6 +173,19 @@ def time_of(task: Task, step: int) -> str:
     return f" · {duration(step * task.dt)} simulated" if task.dt else ""
 
 
+def stuck_lanes(picture: Picture) -> str | None:
+    """How many of the lanes are stuck, and which."""
+    found = picture.stuck
+    if not found:
+        return None
+    named = ", ".join(map(str, found[:MOST_NAMED])) + ", …" * (len(found) > MOST_NAMED)
+    is_one = len(found) == 1
+    return (
+        f"{len(found)} of {picture.lanes} lanes {'is' if is_one else 'are'} stuck: "
+        f"lane{'s' * (not is_one)} {named}."
+    )
+
+
 def stuck(frames: Sequence[Frame]) -> str | None:
     """Why nothing is learnt any more, and what helps; None if the latest frames show no sign."""
     steps, spikes = 0, np.zeros(0)
@@ -189,17 +204,17 @@ def stuck(frames: Sequence[Frame]) -> str | None:
 
 
 def _stuck(frame: Frame, rate: Array, low: Array, high: Array, steps: int) -> str | None:
-    if not np.isfinite(frame.weight).all():
-        return "The weights have grown beyond all numbers. Undo, or reset with a smaller γ."
     outputs = rate[frame.topology.neurons_of(frame.topology.output)]
-    if (np.maximum(outputs, 1 - outputs) >= CONSTANT).all():
+    found = sign(bool(np.isfinite(frame.weight).all()), outputs, low, high)
+    if found is Sign.GONE:
+        return "The weights have grown beyond all numbers. Undo, or reset with a smaller γ."
+    if found is Sign.CONSTANT:
         return (
             f"Stuck: all outputs have been constant over {count(steps)} steps, so their traces "
             "hold next to nothing to learn from. What helps: undo, or reset with a smaller γ or "
             "a shorter trace (smaller β)."
         )
-    sure = (low > SATURATED) | (high < -SATURATED)
-    if sure.mean() > 0.5:
+    if found is Sign.SATURATED:
         return (
             "More than half of the neurons are saturated: their spikes are certain and their "
             "traces do not move. What helps: undo, or reset with a smaller γ."

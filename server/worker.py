@@ -61,8 +61,10 @@ from server.fork import Difference, Fork
 from server.history import Totals
 from server.picture import Other, Past, Picture
 from server.player import Player
+from server.preparing import Preparation
 from server.recording.recordings import Options, Recordings
 from server.run import Run
+from server.stuck import StuckLanes
 from server.tape import Pace
 from server.trail import Trail
 from server.watch import Watch
@@ -71,6 +73,8 @@ PICTURES_PER_SECOND = 32.0
 """A little over 30, so that 30 that differ reach the page."""
 STRETCH_SECONDS = 0.012
 """Aim for one uninterrupted stretch of steps; a command waits at most about twice this."""
+LONGEST_STRETCH_SECONDS = 0.05
+"""A stretch is as long as that where the copy of its first moment, of many lanes, takes so long."""
 LONGEST_STRETCH = 200_000
 MOST_OWED_SECONDS = 0.25
 """A run that cannot keep up with its speed does not save up more than this."""
@@ -99,11 +103,14 @@ class Worker(threading.Thread):
         self._fork: Fork | None = None
         self._pace = Pace()
         self._commands: queue.SimpleQueue[Command | None] = queue.SimpleQueue()
+        self._preparing: Preparation | None = None
+        self._waiting: list[Command] = []
         self._fresh = threading.Condition()
         self._picture: Picture | None = None
         self._stopping = threading.Event()
         self._watch = Watch()
         self._evaluator = Evaluator(run.make_task, on_notice)
+        self._stuck = StuckLanes()
         self._estimating = Estimating()
         run.followers.append(self._estimating)
         self._paused = False
@@ -151,6 +158,7 @@ class Worker(threading.Thread):
             now = time.monotonic()
             try:
                 self._take_commands(wait=max(0.0, next_picture - now) if self._idle() else 0.0)
+                self._take_up_what_waits()
                 now = time.monotonic()
                 self._go_on(now - before)
                 before = now
@@ -167,7 +175,7 @@ class Worker(threading.Thread):
 
     def _idle(self) -> bool:
         """Whether nothing is to be stepped before the next picture."""
-        if self._player is not None:
+        if self._player is not None or self._preparing is not None:
             return True
         return self._single_steps == 0 and (self._paused or self._steps_owed() < 1)
 
@@ -190,7 +198,7 @@ class Worker(threading.Thread):
 
     def _go_on(self, seconds: float) -> None:
         """Run for a stretch: as many steps as are owed, or as fit into STRETCH_SECONDS."""
-        if self._player is not None:
+        if self._player is not None or self._preparing is not None:
             return
         if not self._paused:
             rate = self._rate()
@@ -201,6 +209,7 @@ class Worker(threading.Thread):
             return
         began = time.monotonic()
         moment = self._run.moment()
+        copied = time.monotonic() - began
         try:
             block = self._run.advance(steps)
         except TaskError as error:
@@ -215,7 +224,7 @@ class Worker(threading.Thread):
         self._single_steps = max(0, self._single_steps - done)
         self._steps_made.append((began, done))
         computed = time.monotonic() - began
-        self._adapt(computed, done)
+        self._adapt(computed - copied, done, copied)
         passed, recorded = computed if self._rate() is None else seconds, moment.lane_size
         if self._pace.is_due(computed, passed, recorded):
             self._run.keep()
@@ -232,10 +241,14 @@ class Worker(threading.Thread):
             return 1.0 / dt if dt else None
         return float(self._speed)
 
-    def _adapt(self, seconds: float, steps: int) -> None:
-        if steps == self._stretch and seconds < STRETCH_SECONDS / 2:
+    def _adapt(self, seconds: float, steps: int, copied: float) -> None:
+        """Lengthen or shorten the next stretches by how long one took, besides the copy of its
+        first moment, which is to take the lesser part of the time.
+        """
+        aim = min(max(STRETCH_SECONDS, 2.0 * copied), LONGEST_STRETCH_SECONDS)
+        if steps == self._stretch and seconds < aim / 2:
             self._stretch = min(2 * self._stretch, LONGEST_STRETCH)
-        elif seconds > STRETCH_SECONDS and steps > 1:
+        elif seconds > aim and steps > 1:
             self._stretch = max(1, steps // 2)
 
     def _stop_run(self, error: str) -> None:
@@ -247,6 +260,35 @@ class Worker(threading.Thread):
     # Commands
 
     def _obey(self, command: Command) -> None:
+        """Carry it out, in the order of the commands; after a choice that must be compiled first
+        they wait, but for pausing.
+        """
+        if self._preparing is not None and not isinstance(command, Pause):
+            self._waiting.append(command)
+        elif not isinstance(command, Choose) or self._is_prepared(command):
+            self._attempt(command)
+
+    def _is_prepared(self, command: Choose) -> bool:
+        """Whether a choice can be carried out at once; if not, it is as soon as it can be."""
+        preparation = Preparation(command, self._run.make_task)
+        preparation.start()
+        if preparation.is_ready():
+            return True
+        self._preparing = preparation
+        return False
+
+    def _take_up_what_waits(self) -> None:
+        """Carry out the choice that is prepared by now, and what was asked for after it."""
+        preparation = self._preparing
+        if preparation is None or preparation.is_alive():
+            return
+        self._preparing = None
+        waiting, self._waiting = self._waiting, []
+        self._attempt(preparation.command)
+        for command in waiting:
+            self._obey(command)
+
+    def _attempt(self, command: Command) -> None:
         try:
             self._carry_out(command)
         except (ValueError, TaskError) as error:
@@ -458,6 +500,7 @@ class Worker(threading.Thread):
     def _renew(self, *, keep_evaluations_to: int = -1) -> None:
         """After the run became another: forget what belonged to the one before."""
         self._evaluator.forget(keep_evaluations_to)
+        self._stuck.forget()
         self._watch.clear()
         self._excerpt_trail.clear()
         self._live_trail.clear()
@@ -472,6 +515,8 @@ class Worker(threading.Thread):
     def _publish(self, seconds: float) -> None:
         learner = self._run.learner
         live = self._run.frame()
+        if live.since.steps:
+            self._stuck.look(learner)
         moves = bool(live.since.steps) and evaluates_by_itself(learner)
         if moves and self._evaluator.is_rested():
             self._evaluate()
@@ -497,6 +542,7 @@ class Worker(threading.Thread):
             curve=curves.lane(learner.watch),
             curves=curves,
             ghost=self._run.ghost,
+            stuck=self._stuck.lanes,
             changes=tuple(self._run.log[-200:]),
             paused=self._paused if self._player is None else not self._player.playing,
             speed=self._speed,
@@ -508,6 +554,7 @@ class Worker(threading.Thread):
             estimate=self._estimating.estimate,
             run_number=self._run_number,
             error=self._error,
+            preparing=None if self._preparing is None else self._preparing.words(),
             first=self._run.tape.first,
             past=self._past(),
             other=self._other(),

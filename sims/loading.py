@@ -11,6 +11,7 @@ from typing import TypeVar
 
 from hebbviz.learner import TaskError
 from hebbviz.rules import Rule, make_rule, register
+from hebbviz.switches import UnknownPreset
 from hebbviz.task import Task
 from sims import task_class
 
@@ -18,12 +19,12 @@ T = TypeVar("T")
 
 
 def make_task(name: str, preset: str | None = None) -> Task:
-    """The task called `name`, at a preset (default its first).
+    """The task called `name`, at a preset (default its first), its switches set as it says.
 
     Raises
     ------
     ValueError
-        If there is no such task, file, class or preset.
+        If there is no such task, file, class, preset or switch.
     TaskError
         If a user's file or class raises.
     """
@@ -54,12 +55,10 @@ def _make(cls: type[Task], name: str, preset: str | None) -> Task:
             raise ValueError(
                 f"task {name}: the class must set {attribute!r}, see hebbviz.task.Task"
             )
-    if preset is not None and preset not in cls.presets:
-        raise ValueError(
-            f"task {cls.name!r} has no preset {preset!r}; choose from {', '.join(cls.presets)}"
-        )
     try:
         task = cls(preset)
+    except UnknownPreset:
+        raise
     except Exception as error:
         raise _failed(f"task {name}", error) from error
     if getattr(task, "inputs", None) is None:

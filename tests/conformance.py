@@ -88,6 +88,10 @@ def check_presets(make_task: MakeTask) -> None:
         learner = Learner(made)
         assert (learner.beta, learner.gamma) == (preset.beta, preset.gamma)
         learner.advance(3)
+        for switch, on in made.settings.items():
+            other = type(task)(made.switched(switch, not on))
+            assert other.settings == made.settings | {switch: not on}
+            Learner(other).advance(3)
 
 
 def check_shapes(make_task: MakeTask) -> None:
@@ -297,7 +301,7 @@ class Interpreted(Task):
     """A compiled task with its methods alone."""
 
     def __init__(self, task: CompiledTask) -> None:
-        for name in ("name", "outputs", "inputs", "presets", "activity"):
+        for name in ("name", "outputs", "inputs", "presets", "switches", "activity"):
             setattr(self, name, getattr(task, name))
         super().__init__(task.preset_name)
         for name in ("restart", "transition", "observation", "reward", "ended", "topology",

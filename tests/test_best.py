@@ -78,8 +78,8 @@ def test_other_presets_keep_their_worlds_and_their_hold():
         assert (task.hold, task.epoch) == (HOLD, TRAINING * HOLD)
 
 
-def test_best_and_best_raw_differ_in_nothing_but_the_inputs():
-    best, raw = Sonar("best"), Sonar("best-raw")
+def test_switching_changes_nothing_but_the_inputs():
+    best, raw = Sonar("best"), Sonar("best:centred=no")
     for name in ("beta", "gamma", "rule", "fall", "hidden"):
         assert getattr(best.preset, name) == getattr(raw.preset, name)
     assert best.hold == raw.hold

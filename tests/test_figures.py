@@ -19,8 +19,11 @@ import pytest
 import hebbviz
 from hebbviz.learner import Learner
 from server.cli import main
+from server.experiments import Plan
+from server.figures.curves import preset_note
 from server.figures.gradient import BETAS, STILL, angles
 from server.figures.order import KINDS
+from server.figures.sheet import Origin, Sheet, blank, look, save
 from sims.lamps import small_example
 from sims.loading import make_task
 from sims.pendulum import Pendulum
@@ -298,6 +301,7 @@ def test_an_interrupted_figure_goes_on_and_comes_out_the_same(made, tmp_path):
         ("pendulum --out {out} --epochs 3", "takes no --epochs"),
         ("synapse --out {out} --task sonar", "takes no --task"),
         ("sonar --out {out} --preset none", "quick, paper"),
+        ("sonar --out {out} --preset best:bent=no", "no switch 'bent'; it has centred"),
         ("learning --out {out} --task {lever} --hours 1", "give --steps"),
         ("learning --out {out} --task {lever} --epochs 1", "no epochs"),
         ("learning --out {out} --task none", "no task 'none'"),
@@ -317,3 +321,20 @@ def test_what_cannot_be_drawn_is_said_in_one_line(options, said, tmp_path, capsy
     assert err.count("\n") == 1
     assert said in err
     assert file.read_text() == "mine"
+
+
+@pytest.mark.parametrize("preset", ["quick", "best", "best:centred=no"])
+def test_the_foot_says_all_of_the_note_within_the_figure(preset, tmp_path):
+    plan = Plan(task="sonar", preset=preset, segments=1, segment_steps=1)
+    note = f"{'quick: ' + 'short runs ' * 12}\n{preset_note(plan)}"
+    with look():
+        figure = blank(2.0)
+        axes = figure.add_subplot()
+        axes.set_xlabel("steps")
+    save(Sheet(figure, {"step": [1]}, {}, note), tmp_path, "x", Origin("hebbviz figure x", 0))
+    command, *said = (text.get_text() for text in figure.texts)
+    assert command.startswith("hebbviz figure x")
+    assert " ".join(reversed(said)).split() == note.split()
+    boxes = [text.get_window_extent() for text in figure.texts]
+    assert max(box.x1 for box in boxes) < figure.bbox.x1
+    assert max(box.y1 for box in boxes) < axes.get_tightbbox().y0

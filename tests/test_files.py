@@ -152,6 +152,25 @@ def test_a_header_that_does_not_fit_is_told(path, entries):
     assert "\n" not in str(told.value)
 
 
+@pytest.mark.parametrize(
+    ("task", "row", "value"),
+    [
+        *(("sonar", row, value) for row in (1, 3, 6, 8, 215) for value in (-1.0, 0.5, 1e9, np.nan)),
+        *(("filtering", row, value) for row in (0, 1, 2) for value in (-1.0, 0.5, 1e18, np.nan)),
+    ],
+)
+def test_a_world_in_a_state_that_cannot_be_is_told(tmp_path, task, row, value):
+    """Compiled worlds look tables up by such numbers, and nobody asks whether they are in them."""
+    path = save(Learner(make_task(task), lanes=2), tmp_path / "saved.npz")
+    load(path, make_task)
+    with np.load(path) as file:
+        arrays = dict(file)
+    arrays["world"][row, 1] = value
+    np.savez(path, **arrays)
+    with pytest.raises(BadFile, match=f"does not fit task '{task}'"):
+        load(path, make_task)
+
+
 def test_a_task_that_is_not_there_is_told(path):
     rewritten(path, task="chess")
     with pytest.raises(ValueError, match="there is no task 'chess'"):

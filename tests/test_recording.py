@@ -28,7 +28,7 @@ from server.commands import (
     SetRule,
 )
 from server.recording.export import export_steps, export_timelines
-from server.recording.header import Header, change_from_json, change_to_json
+from server.recording.header import FORMAT, Header, change_from_json, change_to_json
 from server.recording.inspect import describe, figures
 from server.recording.reader import Recording, open_recording
 from server.recording.recorder import Recorder
@@ -72,10 +72,11 @@ def record(
     *,
     steps: int = 1500,
     changes: dict[int, Change] = CHANGES,
+    learner: Learner | None = None,
     **options: object,
 ) -> Recorded:
     """Record a run with changes, a frame every 40 steps and a keyframe every 200."""
-    run = Run(Learner(make_task(task), seed=3), make_task, task)
+    run = Run(learner or Learner(make_task(task), seed=3), make_task, task)
     recorder = Recorder(FileTarget(path), run, on_notice=pytest.fail, **options)  # type: ignore[arg-type]
     run.followers.append(recorder)
     made = Recorded(path, run)
@@ -102,7 +103,8 @@ def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 
 def again(made: Recorded) -> Run:
-    return made.read().run(make_task, make_task(made.run.task_name), made.run.task_name)
+    recording, name = made.read(), made.run.task_name
+    return recording.run(make_task, make_task(name, recording.header.preset), name)
 
 
 def test_a_recording_says_what_run_it_is(recorded: Recorded) -> None:
@@ -124,6 +126,19 @@ def test_the_run_is_back_to_the_bit(recorded: Recorded) -> None:
     assert run.log == recorded.run.log
     assert run.history.edges() == recorded.run.history.edges()
     assert run.history.window == recorded.run.history.window
+
+
+def test_one_of_many_lanes_is_recorded_with_its_rule_and_switches(tmp_path: Path) -> None:
+    """As the run of its own that it is."""
+    learner = Learner(make_task("sonar", "best:centred=no"), hidden=(4,), seed=3, lanes=3)
+    learner.look_at(2)
+    made = record(tmp_path / "run.rrd", "sonar", learner=learner, changes={500: SetFall(1e3)})
+    run = again(made)
+    assert str(run.learner.rule) == "baseline:time=1000"
+    assert run.learner.fall == 1e3
+    assert run.learner.task.preset_name == "best:centred=no"
+    assert np.array_equal(run.learner.weights[:, 0], learner.weights[:, 2])
+    assert np.array_equal(run.learner.memory[:, 0], learner.memory[:, 2])
 
 
 def test_every_keyframe_is_there_and_leads_to_the_next(recorded: Recorded) -> None:
@@ -376,25 +391,32 @@ def test_what_is_no_change_is_refused(said: object) -> None:
 # Earlier formats
 
 
-def test_a_recording_of_each_earlier_format_still_opens() -> None:
-    """Golden files, one of each format; whether they can be made again depends on the machine."""
-    files = sorted(GOLDEN.glob("format-*.rrd"))
-    assert files
-    for file in files:
-        recording = open_recording(file)
-        assert recording.ending is not None
-        assert recording.header.task == "synapse"
-        run = recording.run(make_task, make_task("synapse", recording.header.preset))
-        assert run.learner.step == recording.last_step == 250
-        assert [str(c.change) for c in run.log] == ["β 0.9", "learning frozen"]
+GOLDEN_CHANGES: dict[str, dict[int, Change]] = {
+    "format-1.rrd": {100: SetBeta(0.9), 150: Freeze(frozen=True)},
+    "format-2.rrd": {
+        100: SetRule("baseline:time=50"), 120: SetFall(1e3), 150: Freeze(frozen=True),
+    },
+}  # fmt: skip
+"""What was changed in each; when the format changes, they stay, and there is one more."""
 
 
-def make_golden(path: Path) -> None:
-    """The golden file of this format; when the format changes, it stays, and makes another."""
-    record(
-        path,
-        "synapse",
-        steps=250,
-        changes={100: SetBeta(0.9), 150: Freeze(frozen=True)},
-        detail="light",
-    )
+@pytest.mark.parametrize("name", GOLDEN_CHANGES)
+def test_a_recording_of_each_format_still_opens(name: str) -> None:
+    """Golden files; whether their runs can be made again depends on the machine."""
+    recording = open_recording(GOLDEN / name)
+    assert recording.ending is not None
+    assert recording.header.task == "synapse"
+    run = recording.run(make_task, make_task("synapse", recording.header.preset))
+    assert run.learner.step == recording.last_step == 250
+    assert {c.step: c.change for c in run.log} == GOLDEN_CHANGES[name]
+
+
+def test_there_is_a_golden_file_of_each_format() -> None:
+    wanted = {f"format-{number}.rrd" for number in range(1, FORMAT + 1)}
+    assert {file.name for file in GOLDEN.iterdir()} == wanted == set(GOLDEN_CHANGES)
+
+
+def make_golden() -> None:
+    """The file of the newest format."""
+    name = f"format-{FORMAT}.rrd"
+    record(GOLDEN / name, "synapse", steps=250, changes=GOLDEN_CHANGES[name], detail="light")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -192,7 +193,7 @@ def test_reset_keeps_what_is_set_and_leaves_a_ghost() -> None:
     learner = run.learner
     assert (learner.step, learner.seed, learner.beta, learner.frozen) == (0, 2, 0.6, True)
     assert run.ghost is not None
-    assert run.ghost.steps.sum() == 5000
+    assert run.ghost.lane(0).steps.sum() == 5000
     run.reset(Reset(seed=9))
     assert run.learner.seed == 9
 
@@ -441,6 +442,27 @@ def test_choose_and_reset_make_another_run() -> None:
         later = b.until(lambda p: p.seed == 8)
         assert later.ghost is not None
         assert later.run_number > picture.run_number
+
+
+def test_a_choice_that_takes_long_holds_up_nothing_but_the_run() -> None:
+    gate = threading.Event()
+
+    def make_in_time(name: str, preset: str | None = None) -> Task:
+        assert name != "synapse" or gate.wait(20.0)
+        return make(name, preset)
+
+    with bench(Run(Learner(make("pendulum")), make_in_time)) as b:
+        b.until(lambda p: p.live.step > 0)
+        b.send(Choose("synapse", "script"), SetBeta(0.25), Pause(paused=True))
+        picture = b.until(lambda p: p.preparing is not None and p.paused)
+        assert "task synapse" in (picture.preparing or "")
+        assert (picture.task_name, picture.beta) == ("pendulum", 0.98)
+        later = b.until(lambda p: p.number > picture.number + 5)
+        assert later.live.step == picture.live.step, "the run rests"
+        gate.set()
+        picture = b.until(lambda p: p.task_name == "synapse" and p.beta == 0.25)
+        assert (picture.preparing, picture.paused) == (None, True)
+        assert picture.undo_words == "β 0.25"
 
 
 def test_what_is_asked_wrongly_is_a_notice() -> None:

@@ -41,7 +41,7 @@ def words_of(plan: Plan) -> str:
 def preset_note(plan: Plan) -> str:
     """What the task says of the plan's preset."""
     task = plan.make_task()
-    return f"preset {task.preset_name}: {task.preset.note}"
+    return f"preset {task.preset_name}: {task.note}"
 
 
 def shown(number: float) -> str:

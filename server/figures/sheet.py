@@ -14,7 +14,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from textwrap import shorten
+from textwrap import shorten, wrap
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
@@ -36,9 +36,11 @@ WIDTH = 7.2
 SMALL, TINY = 7.5, 6.0
 """Points."""
 _MARGIN, _FOOT, _PITCH = 0.12, 0.46, 0.12
-"""Inches: around the drawing, for up to three lines at its foot, and for one of them."""
+"""Inches: around the drawing, for the lines at its foot, and for one of them."""
+_ROWS = 3
+"""Lines that the foot has room for; with more of them the figure is so much higher."""
 _LETTERS = 150
-"""Letters of the small print that have room; the whole of a longer command is inside the files."""
+"""Letters in a line of the small print; the whole of a longer command is inside the files."""
 
 
 def color(rgb: Rgb) -> Color:
@@ -80,8 +82,7 @@ class Sheet:
     """A finished figure.
 
     `table` holds the columns of its CSV, of one length; `numbers` what it comes to, fit for
-    strict JSON; `note` what else must be said, above the small print that says its origin, in up
-    to two lines.
+    strict JSON; `note` what else must be said, above the small print that says its origin.
     """
 
     drawing: Figure
@@ -100,9 +101,19 @@ def look() -> Iterator[None]:
 
 def blank(height: float, *, width: float = WIDTH) -> Figure:
     """An empty drawing, in inches; to be filled and saved within `look`."""
-    edges = (_MARGIN / width, _FOOT / height, 1 - 2 * _MARGIN / width,
-             1 - (_FOOT + _MARGIN) / height)  # fmt: skip
-    return Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(rect=edges))
+    figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine())
+    _leave_foot(figure, _FOOT)
+    return figure
+
+
+def _leave_foot(figure: Figure, foot: float) -> None:
+    """Keep so many inches free below the drawing."""
+    width, height = figure.get_size_inches()
+    edges = (_MARGIN / width, foot / height, 1 - 2 * _MARGIN / width,
+             1 - (foot + _MARGIN) / height)  # fmt: skip
+    engine = figure.get_layout_engine()
+    assert isinstance(engine, ConstrainedLayoutEngine)
+    engine.set(rect=edges)
 
 
 def save(sheet: Sheet, folder: Path, name: str, origin: Origin) -> list[Path]:
@@ -112,8 +123,10 @@ def save(sheet: Sheet, folder: Path, name: str, origin: Origin) -> list[Path]:
     """
     about = origin.items()
     with look():
+        said = [row for line in sheet.note.splitlines() for row in wrap(line, _LETTERS)]
+        _make_room(sheet.drawing, len(said) + 1)
         _settle(sheet.drawing)
-        _small_print(sheet.drawing, origin, sheet.note)
+        _small_print(sheet.drawing, origin, said)
         png, svg = io.BytesIO(), io.BytesIO()
         title = {"Title": f"hebbviz figure {name}"}
         software = {"Software": f"hebbviz {origin.version}"}
@@ -149,6 +162,15 @@ def label(axes: Axes, x: float, y: float, text: str, shade: Color) -> None:
     )  # fmt: skip
 
 
+def _make_room(figure: Figure, rows: int) -> None:
+    """Make a figure higher where the foot has not room for so many lines."""
+    more = _PITCH * max(0, rows - _ROWS)
+    if more:
+        width, height = figure.get_size_inches()
+        figure.set_size_inches(width, height + more)
+        _leave_foot(figure, _FOOT + more)
+
+
 def _settle(figure: Figure) -> None:
     """Lay it out for good, in round numbers: the solver's last digits change from run to run."""
     figure.draw_without_rendering()
@@ -158,13 +180,13 @@ def _settle(figure: Figure) -> None:
         axes.set_position((round(left, 4), round(bottom, 4), round(width, 4), round(height, 4)))
 
 
-def _small_print(figure: Figure, origin: Origin, note: str) -> None:
+def _small_print(figure: Figure, origin: Origin, said: Sequence[str]) -> None:
     width, height = figure.get_size_inches()
-    about = f"  ·  hebbviz {origin.version}  ·  seed {origin.seed}"
+    about = f" · hebbviz {origin.version} · seed {origin.seed}"
     line = shorten(origin.command, _LETTERS - len(about), placeholder=" …") + about
-    for row, text in enumerate((line, *reversed(note.splitlines()))):
+    for row, text in enumerate((line, *reversed(said))):
         figure.text(
-            _MARGIN / width, (0.08 + _PITCH * row) / height, shorten(text, _LETTERS), fontsize=TINY,
+            _MARGIN / width, (0.08 + _PITCH * row) / height, text, fontsize=TINY,
             color=IDLE if row == 0 else INK, ha="left", va="bottom", in_layout=False,
         )  # fmt: skip
 

@@ -47,19 +47,18 @@ class _Size:
 
 
 _FULL, _QUICK = _Size("paper", 100, 2000), _Size("quick", 6, 20)
-_EPOCHS = {"best": 150, "best-raw": 150}
+_EPOCHS = {"best": 150}
 """By when a preset has shown what it can; any other is given as many as the paper's."""
 
 
 def make(order: Order, work: Work) -> Sheet:
     """Errors at about 50 times, which are equally far apart."""
     size = _QUICK if order.quick else _FULL
-    preset = order.preset or size.preset
-    length = size.epochs if order.quick else _EPOCHS.get(preset, size.epochs)
+    task = Sonar(order.preset or size.preset)
+    length = size.epochs if order.quick else _EPOCHS.get(task.plain_preset, size.epochs)
     segments, epochs = cut(order.epochs or length, _EVALUATIONS)
-    task = Sonar(preset)
     plan = Plan(
-        task="sonar", preset=preset, seed=order.seed, lanes=order.lanes or size.lanes,
+        task="sonar", preset=task.preset_name, seed=order.seed, lanes=order.lanes or size.lanes,
         segments=segments, segment_steps=epochs * task.epoch, evaluate=1,
         options={"dtype": "float32"},
     )  # fmt: skip

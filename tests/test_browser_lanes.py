@@ -1,0 +1,111 @@
+"""Many lanes in a real browser: another task, a switch, another number of lanes, another theme."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import browser_or_skip, choose, eventually, load, row, text_of
+from playwright.sync_api import Browser, Page
+from raw_client import wait_until
+
+from hebbviz.learner import Learner
+from server import camera
+from server.app import Site
+from server.commands import Choose, Pause, Reset
+from server.page import THEME_SECONDS
+from server.picture import Picture
+from server.worker import Worker
+from sims.loading import make_task
+
+pytestmark = [
+    pytest.mark.slow, pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection")
+]  # fmt: skip
+
+AXES = """() => Object.values(window.__viserTestpoints.uplots).map(p => p.chart).map(c =>
+  [c.root.querySelector('.u-title').textContent, c.scales.x.min, c.scales.x.max,
+   c.data[0][0], c.data[0].at(-1)])"""
+EARLIER = """() => Object.values(window.__viserTestpoints.uplots).map(p => p.chart)
+  .filter(c => c.series.some(s => s.label === 'earlier run'))
+  .map(c => [...c.data[c.series.findIndex(s => s.label === 'earlier run')]]
+    .filter(y => y !== null && Number.isFinite(y)).length)[0]"""
+
+
+@pytest.fixture(scope="module")
+def site() -> Iterator[Site]:
+    site = Site(
+        Learner(make_task("pendulum"), seed=0), host="127.0.0.1", port=0, speed=None, task_name=None
+    )
+    stop = threading.Event()
+    thread = threading.Thread(target=lambda: site.run(stop, open_browser=False), daemon=True)
+    thread.start()
+    wait_until(lambda: site._worker is not None and site._worker.latest is not None, 60.0)
+    yield site
+    stop.set()
+    thread.join(10.0)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with browser_or_skip() as browser:
+        yield browser
+
+
+def latest(site: Site) -> Picture:
+    assert site._worker is not None and site._worker.latest is not None
+    return site._worker.latest
+
+
+def worker(site: Site) -> Worker:
+    assert site._worker is not None
+    return site._worker
+
+
+def stands_at_the_overview(site: Site) -> bool:
+    (client,) = site._server.get_clients().values()
+    return camera._stands_at(client, camera._pose(client, camera.OVERVIEW, latest(site)))
+
+
+def axes_fit(page: Page) -> bool:
+    """Whether every chart's axis of steps is the one of what it shows."""
+    charts: list[Any] = page.evaluate(AXES)
+    fits = [
+        np.allclose((low, high), (first, last), rtol=1e-3, atol=1e-3)
+        for _, low, high, first, last in charts
+        if None not in (low, high, first, last)
+    ]
+    return len(fits) == len(charts) > 0 and all(fits)
+
+
+def test_many_lanes_are_seen_whatever_is_chosen(site: Site, browser: Browser) -> None:
+    page = load(browser, site.address, width=1100, height=640)
+    worker(site).send(Choose("sonar"))  # a page that has just opened still moves its camera
+    eventually(page, lambda: latest(site).task_name == "sonar")
+    eventually(page, lambda: latest(site).live.step > 20_000)
+    page.wait_for_timeout(1000 * camera.SECONDS)
+    assert stands_at_the_overview(site)
+
+    box = row(page, "centred").get_by_role("checkbox")
+    assert not box.is_checked()
+    box.click()
+    eventually(page, lambda: latest(site).task.settings == {"centred": True})
+    assert latest(site).task.preset_name == "quick:centred=yes"
+    eventually(page, lambda: "less their mean" in text_of(page) and box.is_checked())
+    eventually(page, lambda: latest(site).live.step > 20_000)
+
+    worker(site).send(Reset(lanes=8))
+    eventually(page, lambda: latest(site).lanes == 8 and "mean of 8 lanes" in text_of(page))
+    assert latest(site).ghost is not None
+    eventually(page, lambda: latest(site).live.step > 20_000)
+    assert page.evaluate(EARLIER) == 0, "one lane is nothing beside the mean of many"
+    worker(site).send(Reset())
+    eventually(page, lambda: latest(site).live.step > 3_000 and page.evaluate(EARLIER) > 5)
+
+    worker(site).send(Pause(paused=True))
+    for theme in ("light", "dark"):
+        choose(page, "theme", theme)
+        page.wait_for_timeout(1000 * THEME_SECONDS[-1])
+        eventually(page, lambda: axes_fit(page))
