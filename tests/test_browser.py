@@ -254,8 +254,8 @@ def test_the_memory_slider_is_moved_by_keys(page: Page, live: Live) -> None:
 def test_the_memory_slider_is_dragged(page: Page, live: Live) -> None:
     slider = row(page, "memory").get_by_role("slider")
     slider.scroll_into_view_if_needed()
-    thumb = still(page, slider).bounding_box()
-    track = row(page, "memory").locator(".mantine-Slider-trackContainer").bounding_box()
+    rail = still(page, row(page, "memory").locator(".mantine-Slider-trackContainer"))
+    thumb, track = slider.bounding_box(), rail.bounding_box()
     assert thumb is not None
     assert track is not None
     x, y = thumb["x"] + thumb["width"] / 2, thumb["y"] + thumb["height"] / 2

@@ -129,8 +129,8 @@ def drag(page: Page, share: float) -> None:
     """Move the slider of the past to a share of its length, with the mouse."""
     slider = row(page, "go to").get_by_role("slider")
     slider.scroll_into_view_if_needed()
-    thumb = still(page, slider).bounding_box()
-    track = row(page, "go to").locator(".mantine-Slider-trackContainer").bounding_box()
+    rail = still(page, row(page, "go to").locator(".mantine-Slider-trackContainer"))
+    thumb, track = slider.bounding_box(), rail.bounding_box()
     assert thumb is not None and track is not None
     y = thumb["y"] + thumb["height"] / 2
     page.mouse.move(thumb["x"] + thumb["width"] / 2, y)
