@@ -154,6 +154,19 @@ def press(page: Page, name: str) -> None:
     page.get_by_role("button", name=re.compile(f"^{re.escape(name)}")).first.click()
 
 
+def still(page: Page, thing: Locator) -> Locator:
+    """A widget once it stands still: folders open slowly, and what is aimed at moves away."""
+    boxes: list[object] = [None]
+
+    def stands() -> bool:
+        boxes.append(thing.bounding_box())
+        page.wait_for_timeout(150)
+        return boxes[-1] is not None and boxes[-1] == boxes[-2]
+
+    eventually(page, stands)
+    return thing
+
+
 def text_of(page: Page) -> str:
     """All that can be read on the page."""
     said: str = page.evaluate("document.body.innerText")

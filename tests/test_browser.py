@@ -26,6 +26,7 @@ from browser import (
     press,
     row,
     slide,
+    still,
     text_of,
 )
 from playwright.sync_api import Browser, ConsoleMessage, Page, expect
@@ -35,6 +36,7 @@ from viser.transforms import SO3
 from hebbviz.learner import Learner
 from hebbviz.rules.baseline import Baseline
 from hebbviz.rules.paper import PAPER
+from server import worker
 from server.app import Site
 from server.commands import (
     Choose,
@@ -250,11 +252,14 @@ def test_the_memory_slider_is_moved_by_keys(page: Page, live: Live) -> None:
     eventually(page, lambda: "1/(1−β) = 53.7 steps" in text_of(page))
 
 
-def test_the_memory_slider_is_dragged(page: Page, live: Live) -> None:
+def test_the_memory_slider_is_dragged(
+    page: Page, live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker, "SAME_GESTURE_SECONDS", 30.0)  # the machine may be busy
     slider = row(page, "memory").get_by_role("slider")
     slider.scroll_into_view_if_needed()
-    thumb = slider.bounding_box()
-    track = row(page, "memory").locator(".mantine-Slider-trackContainer").bounding_box()
+    rail = still(page, row(page, "memory").locator(".mantine-Slider-trackContainer"))
+    thumb, track = slider.bounding_box(), rail.bounding_box()
     assert thumb is not None
     assert track is not None
     x, y = thumb["x"] + thumb["width"] / 2, thumb["y"] + thumb["height"] / 2

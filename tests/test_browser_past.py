@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import PATIENCE, choose, eventually, field, load, press, row, text_of
+from browser import PATIENCE, choose, eventually, field, load, press, row, still, text_of
 from playwright.sync_api import Browser, Page, expect
 from raw_client import RawClient, wait_until
 
@@ -129,8 +129,8 @@ def drag(page: Page, share: float) -> None:
     """Move the slider of the past to a share of its length, with the mouse."""
     slider = row(page, "go to").get_by_role("slider")
     slider.scroll_into_view_if_needed()
-    thumb = slider.bounding_box()
-    track = row(page, "go to").locator(".mantine-Slider-trackContainer").bounding_box()
+    rail = still(page, row(page, "go to").locator(".mantine-Slider-trackContainer"))
+    thumb, track = slider.bounding_box(), rail.bounding_box()
     assert thumb is not None and track is not None
     y = thumb["y"] + thumb["height"] / 2
     page.mouse.move(thumb["x"] + thumb["width"] / 2, y)
@@ -311,7 +311,7 @@ def test_a_recording_is_made_from_the_page(page: Page, live: Live, folder: Path)
     page.get_by_text("Record", exact=True).first.click()
     assert re.fullmatch(r"pendulum-[\d-]+\.rrd", field(page, "file").input_value())
     field(page, "file").fill("mine.rrd")
-    page.get_by_role("button", name="Record", exact=True).click()
+    still(page, page.get_by_role("button", name="Record", exact=True)).click()
     page.get_by_role("button", name="Stop recording").wait_for()
     live.send(Pause(paused=False), SetSpeed(1000.0))
     eventually(page, lambda: live.picture.live.step > STEPS + 500)
