@@ -159,9 +159,9 @@ class Sonar(CompiledTask):
         "paper": Preset(0.5, 1e-4, "the paper's β and γ: allow it 2 000 epochs"),
         "best": Preset(
             0.5, 0.2,
-            "a reward baseline, a γ that falls by half in 60 epochs, 64 hidden units, 100 steps a "
+            "a reward baseline, a γ that falls by half in 60 epochs, 128 hidden units, 100 steps a "
             "pattern (1 000 where errors are counted)",
-            {CENTRED: True, "hold": 100}, "baseline:time=1000", fall=1.122e6, hidden=(64,),
+            {CENTRED: True, "hold": 100}, "baseline:time=200", fall=1.122e6, hidden=(128,),
         ),
     }  # fmt: skip
     switches = (Switch(CENTRED, "inputs less their mean over the training set"),)

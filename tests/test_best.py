@@ -120,9 +120,9 @@ def test_sonar_best_learns_its_training_set():
 
 @pytest.mark.slow
 def test_pendulum_best_leaves_no_run_behind():
-    """Time to fall over the last fifth of 10⁵ s, of 16 runs: 408 s and more, median 5 000 s."""
+    """Time to fall over the last fifth of 10⁵ s, of 16 runs."""
     learner = Learner(make_task("pendulum", "best").in_lanes(), lanes=16)
     learner.skip(4_000_000)
     seconds = [learner.task.score(t).value for t in learner.skip_tallied(1_000_000)]
-    assert min(seconds) > 100.0
-    assert np.median(seconds) > 2000.0
+    assert min(seconds) > 1000.0
+    assert np.median(seconds) > 10_000.0

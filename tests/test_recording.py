@@ -134,7 +134,7 @@ def test_one_of_many_lanes_is_recorded_with_its_rule_and_switches(tmp_path: Path
     learner.look_at(2)
     made = record(tmp_path / "run.rrd", "sonar", learner=learner, changes={500: SetFall(1e3)})
     run = again(made)
-    assert str(run.learner.rule) == "baseline:time=1000"
+    assert str(run.learner.rule) == "baseline:time=200"
     assert run.learner.fall == 1e3
     assert run.learner.task.preset_name == "best:centred=no"
     assert np.array_equal(run.learner.weights[:, 0], learner.weights[:, 2])

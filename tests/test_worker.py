@@ -438,6 +438,7 @@ def test_choose_and_reset_make_another_run() -> None:
         b.send(Undo())
         picture = b.until(lambda p: p.task_name == "pendulum")
         assert (picture.speed, picture.watching) == ("max", True)
+        b.until(lambda p: p.task_name == "pendulum" and p.live.step > 1000)
         b.send(Reset(seed=8))
         later = b.until(lambda p: p.seed == 8)
         assert later.ghost is not None

@@ -47,7 +47,7 @@ class _Size:
 
 
 _FULL, _QUICK = _Size("paper", 100, 2000), _Size("quick", 6, 20)
-_EPOCHS = {"best": 150}
+_EPOCHS = {"best": 300}
 """By when a preset has shown what it can; any other is given as many as the paper's."""
 
 
