@@ -97,6 +97,7 @@ def test_float32_goes_on_exactly_after_saves_and_keyframes(name, tmp_path):
         assert np.array_equal(again.world, whole.world)
 
 
+@pytest.mark.slow
 def test_float32_follows_the_reference_as_far_as_it_can_see():
     """The same spikes as float64 all the way here, so w and z differ by rounding alone."""
     topology = everything(SYMMETRIC)
