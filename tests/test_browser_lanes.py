@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import browser_or_skip, choose, eventually, load, row, text_of
+from browser import choose, eventually, load, row, text_of
 from playwright.sync_api import Browser, Page
 from raw_client import wait_until
 
@@ -46,12 +46,6 @@ def site() -> Iterator[Site]:
     yield site
     stop.set()
     thread.join(10.0)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with browser_or_skip() as browser:
-        yield browser
 
 
 def latest(site: Site) -> Picture:
