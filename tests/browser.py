@@ -167,6 +167,31 @@ def still(page: Page, thing: Locator) -> Locator:
     return thing
 
 
+def drag(page: Page, name: str, *shares: float) -> None:
+    """Drag the slider of a name to shares of its rail, one after another.
+
+    At each the hand waits for the thumb: the page notes only once a frame where the mouse is.
+    """
+    thumb = row(page, name).get_by_role("slider")
+    thumb.scroll_into_view_if_needed()
+    rail = still(page, row(page, name).locator(".mantine-Slider-trackContainer")).bounding_box()
+    assert rail is not None
+    y = rail["y"] + rail["height"] / 2
+
+    def reach() -> float:
+        """Where the middle of the thumb is, as a share of the rail."""
+        box = thumb.bounding_box()
+        assert box is not None
+        return (box["x"] + box["width"] / 2 - rail["x"]) / rail["width"]
+
+    page.mouse.move(rail["x"] + reach() * rail["width"], y)
+    page.mouse.down()
+    for share in shares:
+        page.mouse.move(rail["x"] + share * rail["width"], y, steps=4)
+        eventually(page, lambda share=share: abs(reach() - share) < 0.05)
+    page.mouse.up()
+
+
 def text_of(page: Page) -> str:
     """All that can be read on the page."""
     said: str = page.evaluate("document.body.innerText")

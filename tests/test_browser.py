@@ -20,13 +20,13 @@ import pytest
 from browser import (
     PATIENCE,
     choose,
+    drag,
     eventually,
     field,
     load,
     press,
     row,
     slide,
-    still,
     text_of,
 )
 from playwright.sync_api import Browser, ConsoleMessage, Page, expect
@@ -256,18 +256,7 @@ def test_the_memory_slider_is_dragged(
     page: Page, live: Live, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(worker, "SAME_GESTURE_SECONDS", 30.0)  # the machine may be busy
-    slider = row(page, "memory").get_by_role("slider")
-    slider.scroll_into_view_if_needed()
-    rail = still(page, row(page, "memory").locator(".mantine-Slider-trackContainer"))
-    thumb, track = slider.bounding_box(), rail.bounding_box()
-    assert thumb is not None
-    assert track is not None
-    x, y = thumb["x"] + thumb["width"] / 2, thumb["y"] + thumb["height"] / 2
-    page.mouse.move(x, y)
-    page.mouse.down()
-    page.mouse.move(track["x"] + 0.6 * track["width"], y, steps=4)
-    page.mouse.move(track["x"] + 0.75 * track["width"], y, steps=4)
-    page.mouse.up()
+    drag(page, "memory", 0.6, 0.75)
     eventually(page, lambda: 0.9975 < live.picture.beta < 0.9995)  # 10³ steps, at 3 of 0..4
     press(page, "Undo: β")  # a drag is one change
     eventually(page, lambda: live.picture.beta == 0.98)
