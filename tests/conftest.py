@@ -3,12 +3,17 @@
 Property tests have the same examples each time, and no search for smaller ones.
 """
 
+import os
 from collections.abc import Iterator
 
 import pytest
 from browser import browser_or_skip
 from hypothesis import Phase, settings
 from playwright.sync_api import Browser
+
+# Read when numpy is imported, which nothing above does. The matrices here are small, and threads
+# that wait for each other at them take the cores from what else runs.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 settings.register_profile(
     "hebbviz",
