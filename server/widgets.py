@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import viser
+from viser._messages import GuiUpdateMessage
 
 from server.commands import Command
 from server.picture import Picture
@@ -115,10 +116,21 @@ class Widgets:
             if time.monotonic() - touched < quiet:
                 return
             self._touched.pop(key, None)
+            if handle.value == value:
+                _tell_again(handle)
         elif self._put_before.get(key) == value:
             return
         self._put_before[key] = value
         assign(handle, "value", value)
+
+
+def _tell_again(handle: Any) -> None:
+    """Send pages the value that a widget has here: one that crossed what a hand was doing there
+    may have come last, and viser sends none that is the same here.
+    """
+    impl = handle._impl  # noqa: SLF001
+    update = GuiUpdateMessage(impl.uuid, {"value": impl.value})
+    impl.gui_api._websock_interface.queue_message(update)  # noqa: SLF001
 
 
 def assign(handle: Any, name: str, value: Any) -> None:
