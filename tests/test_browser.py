@@ -235,6 +235,7 @@ def test_beta_typed_reaches_the_worker_and_the_plots(page: Page, live: Live) -> 
     assert live.picture.live.step > 0  # nothing began again
 
 
+@pytest.mark.slow
 def test_beta_typed_key_by_key_ends_at_what_was_typed(page: Page, live: Live) -> None:
     field(page, "beta").select_text()
     field(page, "beta").press_sequentially("0.9973", delay=40)
@@ -252,6 +253,7 @@ def test_the_memory_slider_is_moved_by_keys(page: Page, live: Live) -> None:
     eventually(page, lambda: "1/(1−β) = 53.7 steps" in text_of(page))
 
 
+@pytest.mark.slow
 def test_the_memory_slider_is_dragged(
     page: Page, live: Live, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -561,6 +563,7 @@ def test_the_page_says_that_the_server_was_killed(browser: Browser) -> None:
             server.kill()
 
 
+@pytest.mark.slow
 def test_the_rule_is_chosen_and_its_baseline_shown(page: Page, live: Live) -> None:
     choose(page, "rule", "baseline")
     eventually(page, lambda: live.picture.live.rule == Baseline())

@@ -41,7 +41,9 @@ from sims.loading import make_task
 expect.set_options(timeout=PATIENCE)
 
 # viser warns of what is sent to a tab in the moment in which it closes
-pytestmark = pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection")
+pytestmark = [
+    pytest.mark.slow, pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection")
+]  # fmt: skip
 
 WIDTH, HEIGHT = 1100, 700
 STEPS, CHANGED_AT = 2_000, 900
@@ -355,7 +357,6 @@ def test_a_recording_opens_in_its_past_and_is_checked(replayed: tuple[Page, Live
     assert page.get_by_role("button", name="Go on from its end").is_visible()
 
 
-@pytest.mark.slow
 def test_a_recording_is_scrubbed_and_played(replayed: tuple[Page, Live]) -> None:
     page, live = replayed
     drag(page, "go to", 0.45, 0.25)
