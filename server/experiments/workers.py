@@ -84,7 +84,7 @@ class _Cores:
         threads = isinstance(plan.make_task(), CompiledTask)
         if threads not in self._executors:
             self._executors[threads] = self._threads() if threads else self._processes()
-        with _ctrl_c_ignored():  # by processes that start here
+        with contextlib.nullcontext() if threads else _ctrl_c_ignored():  # by those that start here
             return _submit(self._executors[threads], plan, tile)
 
     def result(self, share: Future[Tile]) -> Tile:
