@@ -56,7 +56,7 @@ class Controls:
         self._ui, self._gui = widgets, widgets.gui
         self._task_buttons: list[Any] = []
         self._task_keys: list[Any] = []
-        self._switches: dict[str, Any] = {}
+        self._switches: list[Any] = []
         self._shown_task: tuple[str, str] | None = None
         self._paused = False
         gui = widgets.gui
@@ -231,10 +231,10 @@ class Controls:
 
     def _build_switches(self, task: Task) -> None:
         """What the task can have on or off, below its preset."""
-        for handle in self._switches.values():
+        for handle in self._switches:
             handle.remove()
         with self._run_folder:
-            self._switches = {s.name: self._add_switch(s, task) for s in task.switches}
+            self._switches = [self._add_switch(s, task) for s in task.switches]
 
     def _add_switch(self, switch: Switch, task: Task) -> Any:
         handle = self._gui.add_checkbox(

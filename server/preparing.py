@@ -5,11 +5,10 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
+from collections.abc import Callable
 
 from hebbviz.learner import Learner
-from hebbviz.rules import make_rule
 from server.commands import Choose
-from server.run import MakeTask
 from server.train import announced_compiling, warm_up
 
 SHORT_SECONDS = 0.25
@@ -17,19 +16,17 @@ SHORT_SECONDS = 0.25
 
 
 class Preparation(threading.Thread):
-    """Has all compiled that a chosen task and network need, with a learner of its own."""
+    """Has all compiled that a chosen task and network need, with a learner as the choice makes."""
 
-    def __init__(self, command: Choose, make_task: MakeTask) -> None:
+    def __init__(self, command: Choose, chosen: Callable[[Choose], Learner]) -> None:
         super().__init__(name="hebbviz compiler", daemon=True)
-        self.command, self._make_task = command, make_task
+        self.command, self._chosen = command, chosen
         self._began, self._compiles = time.monotonic(), False
 
     def run(self) -> None:
         # what is wrong is said once the choice itself fails by it
         with contextlib.suppress(Exception), announced_compiling(self._note):
-            task = self._make_task(self.command.task, self.command.preset)
-            lanes = make_rule(task.preset.rule).least_lanes
-            warm_up(Learner(task, hidden=self.command.hidden, lanes=lanes))
+            warm_up(self._chosen(self.command))
 
     def is_ready(self) -> bool:
         """Whether it is, or is within a short time."""

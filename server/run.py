@@ -166,20 +166,22 @@ class Run:
         self._begin(fresh, self.task_name, ghost if len(ghost.edges) > 1 else self.ghost)
 
     def choose(self, command: Choose) -> None:
-        """Another task, preset or network, with the preset's β, γ and rule.
-
-        As many lanes as before, but another task begins with one, or as many as its rule needs.
-        """
-        task = self.make_task(command.task, command.preset)
-        old = self.learner
-        least = make_rule(task.preset.rule).least_lanes
-        lanes = max(least, old.lanes if command.task == self.task_name else 1)
-        fresh = Learner(task, hidden=command.hidden, seed=old.seed, lanes=lanes)
-        _look_at_the_same(fresh, old)
+        """Another task, preset or network, with the preset's β, γ and rule."""
+        fresh = self.chosen(command)
+        _look_at_the_same(fresh, self.learner)
         sizes = "" if command.hidden is None else f", hidden {','.join(map(str, command.hidden))}"
-        self._remember(f"choosing {command.task}, {task.preset_name}{sizes}")
+        self._remember(f"choosing {command.task}, {fresh.task.preset_name}{sizes}")
         self._leap("another task or network was chosen")
         self._begin(fresh, command.task, None)
+
+    def chosen(self, command: Choose) -> Learner:
+        """What a choice begins with: as many lanes as there are, but another task begins with one,
+        or as many as its rule needs.
+        """
+        task = self.make_task(command.task, command.preset)
+        least = make_rule(task.preset.rule).least_lanes
+        lanes = max(least, self.learner.lanes if command.task == self.task_name else 1)
+        return Learner(task, hidden=command.hidden, seed=self.learner.seed, lanes=lanes)
 
     def undo(self) -> str | None:
         """Go back to the moment before the last change; says which, or None if there is none."""

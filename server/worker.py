@@ -270,7 +270,7 @@ class Worker(threading.Thread):
 
     def _is_prepared(self, command: Choose) -> bool:
         """Whether a choice can be carried out at once; if not, it is as soon as it can be."""
-        preparation = Preparation(command, self._run.make_task)
+        preparation = Preparation(command, self._run.chosen)
         preparation.start()
         if preparation.is_ready():
             return True
