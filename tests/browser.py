@@ -11,7 +11,14 @@ from pathlib import Path
 from typing import NoReturn
 
 import pytest
-from playwright.sync_api import Browser, Locator, Page, Playwright, sync_playwright
+from playwright.sync_api import (
+    Browser,
+    Locator,
+    Page,
+    Playwright,
+    TimeoutError,  # noqa: A004  # not of the language's own kind
+    sync_playwright,
+)
 
 SYSTEM_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 FLAGS = (
@@ -136,10 +143,26 @@ def field(page: Page, label: str) -> Locator:
 
 
 def choose(page: Page, label: str, option: str) -> None:
-    """Choose from a drop-down list."""
+    """Choose from a drop-down list; one that is drawn anew as it opens is opened again."""
+    found = page.get_by_role("option", name=option, exact=True).locator("visible=true").first
+    again(page, lambda: _open(page, label), found)
+    found.click()
+
+
+def _open(page: Page, label: str) -> None:
     page.keyboard.press("Escape")
     field(page, label).click()
-    page.get_by_role("option", name=option, exact=True).locator("visible=true").first.click()
+
+
+def again(page: Page, action: Callable[[], object], sign: Locator) -> None:
+    """Do it until there is a sign of it: a busy page loses a click now and then."""
+    for _ in range(6):
+        action()
+        try:
+            return sign.wait_for(timeout=PATIENCE / 6)
+        except TimeoutError:
+            continue
+    raise AssertionError(f"done again and again in vain; the page says:\n{text_of(page)}")
 
 
 def slide(page: Page, label: str, key: str, times: int = 1) -> None:

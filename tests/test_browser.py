@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from browser import (
     PATIENCE,
+    again,
     choose,
     drag,
     eventually,
@@ -64,6 +65,7 @@ SPEED = 100.0
 """Steps per second: the steps are shown live, and leave the machine to the browser."""
 KNOWN_NOISE = "Tried to update non-existent component"
 """viser's page says so of a plot that is drawn and replaced within one of its own frames."""
+CHARTS = "Object.keys(window.__viserTestpoints.uplots).length"
 
 
 @dataclass(frozen=True)
@@ -442,9 +444,12 @@ def test_a_click_on_a_neuron_picks_it(page: Page, live: Live) -> None:
     pause(page, live)
     unit = live.picture.live.topology.first_unit("hidden") + 2
     x, y = on_screen(page, live, unit)
-    page.mouse.move(x - 3, y - 3)
-    page.mouse.click(x, y)
-    page.get_by_text("σ(v), chance to fire").wait_for()
+
+    def click() -> None:
+        page.mouse.move(x - 3, y - 3)
+        page.mouse.click(x, y)
+
+    again(page, click, page.get_by_text("σ(v), chance to fire"))
     assert "hidden 3" in text_of(page).partition("Inspect (this tab)")[2]
 
 
@@ -512,7 +517,8 @@ def test_both_themes_draw_without_errors(page: Page, errors: list[str]) -> None:
         page.locator(f"html[data-mantine-color-scheme={theme}]").wait_for(state="attached")
         step = step_shown(page)
         eventually(page, lambda step=step: step_shown(page) > step + 20)
-    assert page.evaluate("Object.keys(window.__viserTestpoints.uplots).length") > 1
+        # charts come anew a moment after the theme, one after another
+        eventually(page, lambda: page.evaluate(CHARTS) > 1)
 
 
 def test_no_page_printed_an_error(page: Page, errors: list[str]) -> None:
