@@ -6,19 +6,13 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NoReturn
 
 import pytest
-from playwright.sync_api import (
-    Browser,
-    Locator,
-    Page,
-    Playwright,
-    TimeoutError,  # noqa: A004  # not of the language's own kind
-    sync_playwright,
-)
+from playwright.sync_api import Browser, Locator, Page, Playwright, sync_playwright
+from playwright.sync_api import TimeoutError as NoSign
 
 SYSTEM_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 FLAGS = (
@@ -33,6 +27,8 @@ FLAGS = (
 )
 PATIENCE = 30_000.0
 """Milliseconds; software WebGL on a shared core is slow."""
+_TRIES = 6
+"""Of one thing, within PATIENCE."""
 
 FEW_FRAMES = """
 {
@@ -156,12 +152,10 @@ def _open(page: Page, label: str) -> None:
 
 def again(page: Page, action: Callable[[], object], sign: Locator) -> None:
     """Do it until there is a sign of it: a busy page loses a click now and then."""
-    for _ in range(6):
+    for _ in range(_TRIES):
         action()
-        try:
-            return sign.wait_for(timeout=PATIENCE / 6)
-        except TimeoutError:
-            continue
+        with suppress(NoSign):
+            return sign.wait_for(timeout=PATIENCE / _TRIES)
     raise AssertionError(f"done again and again in vain; the page says:\n{text_of(page)}")
 
 
