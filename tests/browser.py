@@ -25,9 +25,9 @@ FLAGS = (
     "--disable-background-timer-throttling",
     "--disable-backgrounding-occluded-windows",
 )
-PATIENCE = 30_000.0
+PATIENCE = 60_000.0
 """Milliseconds; software WebGL on a shared core is slow."""
-_TRIES = 6
+_TRIES = 12
 """Of one thing, within PATIENCE."""
 
 FEW_FRAMES = """
@@ -96,23 +96,26 @@ def _do_without(reason: str) -> NoReturn:
 # On the page
 
 
-def load(
+@contextmanager
+def tab_at(
     browser: Browser, address: str, *, width: int, height: int, sharpness: float = 0.5
-) -> Page:
+) -> Iterator[Page]:
     """A tab with the page, once it shows what runs and viser's notice of slow graphics is gone.
 
-    `sharpness` is how many pixels of the scene are drawn for one of the screen: few are fast.
+    It is closed in the end: all tabs of a browser are drawn by one process, and one that is
+    forgotten makes those after it many times slower. `sharpness` is how many pixels of the scene
+    are drawn for one of the screen: few are fast.
     """
-    context = browser.new_context(viewport={"width": width, "height": height})
-    context.set_default_timeout(PATIENCE)
-    context.add_init_script(FEW_FRAMES)
-    page = context.new_page()
-    page.goto(f"{address}/?fixedDpr={sharpness}", wait_until="domcontentloaded")
-    page.locator("canvas").first.wait_for()
-    page.get_by_text(re.compile("hebbviz")).first.wait_for()
-    page.wait_for_function("document.body.textContent.includes('steps/s')")
-    dismiss(page, "Software WebGL")
-    return page
+    with browser.new_context(viewport={"width": width, "height": height}) as context:
+        context.set_default_timeout(PATIENCE)
+        context.add_init_script(FEW_FRAMES)
+        page = context.new_page()
+        page.goto(f"{address}/?fixedDpr={sharpness}", wait_until="domcontentloaded")
+        page.locator("canvas").first.wait_for()
+        page.get_by_text(re.compile("hebbviz")).first.wait_for()
+        page.wait_for_function("document.body.textContent.includes('steps/s')")
+        dismiss(page, "Software WebGL")
+        yield page
 
 
 def dismiss(page: Page, text: str) -> None:

@@ -22,7 +22,7 @@ from playwright.sync_api import Page
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
-from browser import choose, dismiss, field, load, open_browser  # noqa: E402
+from browser import choose, dismiss, field, open_browser, tab_at  # noqa: E402
 from raw_client import wait_until  # noqa: E402
 
 from hebbviz.learner import Learner  # noqa: E402
@@ -72,16 +72,27 @@ def serving(task: str, lanes: int = 1) -> Iterator[tuple[str, Worker]]:
         thread.join(10.0)
 
 
+@contextmanager
+def shown(task: str, lanes: int = 1) -> Iterator[tuple[Page, Worker]]:
+    """The same in a wide tab of a browser."""
+    with (
+        serving(task, lanes) as (address, worker),
+        open_browser() as browser,
+        tab_at(browser, address, width=WIDE[0], height=WIDE[1], sharpness=1.0) as page,
+    ):
+        yield page, worker
+
+
 def picture(worker: Worker) -> Picture:
     latest = worker.latest
     assert latest is not None
     return latest
 
 
-def is_clear(shown: Picture) -> bool:
+def is_clear(latest: Picture) -> bool:
     """The pole leans a little, all is well within the arena, and both kinds of neuron are seen."""
-    x, y, *_ = shown.shown.world
-    fired = shown.shown.fired
+    x, y, *_ = latest.shown.world
+    fired = latest.shown.fired
     return abs(x) < 0.6 and abs(y) < 0.6 and 0 < fired.sum() < len(fired)
 
 
@@ -112,9 +123,8 @@ def with_few_colors(path: Path) -> None:
 
 def make_page_picture() -> None:
     """The pendulum after a while of learning, with Watch on."""
-    with serving("pendulum") as (address, worker), open_browser() as browser:
+    with shown("pendulum") as (page, worker):
         began = time.monotonic()
-        page = load(browser, address, width=WIDE[0], height=WIDE[1], sharpness=1.0)
         tidy(page)
         page.wait_for_timeout(max(0.0, 1000 * (LEARNING_SECONDS - time.monotonic() + began)))
         wait_for_a_clear_moment(worker)
@@ -123,8 +133,7 @@ def make_page_picture() -> None:
 
 def make_lanes_picture() -> None:
     """Many lanes of sonar, one of them watched: the mean of them all and the band around it."""
-    with serving("sonar", LANES) as (address, worker), open_browser() as browser:
-        page = load(browser, address, width=WIDE[0], height=WIDE[1], sharpness=1.0)
+    with shown("sonar", LANES) as (page, worker):
         tidy(page)
         while picture(worker).live.step < LANES_STEPS:  # the page must go on meanwhile
             page.wait_for_timeout(200)
@@ -135,8 +144,7 @@ def make_lanes_picture() -> None:
 
 def make_gradient_picture() -> None:
     """The exact gradient beside the rule's estimate, at β 0 first and then at β 0.8."""
-    with serving("gradient") as (address, worker), open_browser() as browser:
-        page = load(browser, address, width=WIDE[0], height=WIDE[1], sharpness=1.0)
+    with shown("gradient") as (page, worker):
         worker.send(Reset())
         wait_until(lambda: picture(worker).live.step < GRADIENT_PLAN[1][0], 20.0)
         for steps, command in GRADIENT_PLAN:
@@ -185,18 +193,17 @@ def make_all(folder: Path) -> None:
     """Each task in both themes and both sizes."""
     with serving("pendulum") as (address, worker), open_browser() as browser:
         for size, (width, height) in (("wide", WIDE), ("narrow", NARROW)):
-            page = load(browser, address, width=width, height=height, sharpness=1.0)
-            for task in TASKS:
-                for command in (Choose(task), *something_to_see(task), Pause(paused=False)):
-                    worker.send(command)
-                wait_until(lambda task=task: picture(worker).task_name == task, 20.0)
-                page.wait_for_timeout(8000)
-                for theme in ("light", "dark"):
-                    set_theme(page, theme)
-                    tidy(page)
-                    page.wait_for_timeout(1000 * DRAWN_SECONDS)
-                    shoot(page, folder / f"{task}-{theme}-{size}.png")
-            page.context.close()
+            with tab_at(browser, address, width=width, height=height, sharpness=1.0) as page:
+                for task in TASKS:
+                    for command in (Choose(task), *something_to_see(task), Pause(paused=False)):
+                        worker.send(command)
+                    wait_until(lambda task=task: picture(worker).task_name == task, 20.0)
+                    page.wait_for_timeout(8000)
+                    for theme in ("light", "dark"):
+                        set_theme(page, theme)
+                        tidy(page)
+                        page.wait_for_timeout(1000 * DRAWN_SECONDS)
+                        shoot(page, folder / f"{task}-{theme}-{size}.png")
 
 
 def set_theme(page: Page, theme: str) -> None:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-import signal
 import statistics
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -24,10 +21,10 @@ from browser import (
     drag,
     eventually,
     field,
-    load,
     press,
     row,
     slide,
+    tab_at,
     text_of,
 )
 from playwright.sync_api import Browser, ConsoleMessage, Page, expect
@@ -111,10 +108,9 @@ def errors() -> list[str]:
 @pytest.fixture(scope="module")
 def tab(browser: Browser, live: Live, errors: list[str]) -> Iterator[Page]:
     """The tab that most tests look at."""
-    page = load(browser, live.site.address, width=WIDTH, height=HEIGHT)
-    listen(page, errors)
-    yield page
-    page.context.close()
+    with tab_at(browser, live.site.address, width=WIDTH, height=HEIGHT) as page:
+        listen(page, errors)
+        yield page
 
 
 @pytest.fixture
@@ -419,20 +415,19 @@ def test_each_tab_follows_its_own_pick(
     page: Page, live: Live, browser: Browser, errors: list[str]
 ) -> None:
     pause(page, live)
-    other = load(browser, live.site.address, width=WIDTH, height=HEIGHT)
-    listen(other, errors)
-    choose(page, "from", "angle x")
-    page.get_by_text("angle x → hidden 1").wait_for()
-    choose(other, "pick", "hidden → output")
-    choose(other, "to", "output 2")
-    other.get_by_text("hidden 1 → output 2").wait_for()
-    weight = live.picture.live.weight
-    names = live.picture.live.topology
-    assert f"{weight[4]:+.5f}" in text_of(page)  # from angle x, the fifth input, to hidden 1
-    assert f"{weight[names.synapses_of(1).start + 4]:+.5f}" in text_of(other)
-    assert "hidden 1 → output 2" not in text_of(page)
-    eventually(page, lambda: "2 tabs" in text_of(page))
-    other.context.close()
+    with tab_at(browser, live.site.address, width=WIDTH, height=HEIGHT) as other:
+        listen(other, errors)
+        choose(page, "from", "angle x")
+        page.get_by_text("angle x → hidden 1").wait_for()
+        choose(other, "pick", "hidden → output")
+        choose(other, "to", "output 2")
+        other.get_by_text("hidden 1 → output 2").wait_for()
+        weight = live.picture.live.weight
+        names = live.picture.live.topology
+        assert f"{weight[4]:+.5f}" in text_of(page)  # from angle x, the fifth input, to hidden 1
+        assert f"{weight[names.synapses_of(1).start + 4]:+.5f}" in text_of(other)
+        assert "hidden 1 → output 2" not in text_of(page)
+        eventually(page, lambda: "2 tabs" in text_of(page))
     eventually(page, lambda: "1 tab" in text_of(page) and "2 tabs" not in text_of(page))
     assert "angle x → hidden 1" in text_of(page)
     step = step_shown(page)
@@ -543,30 +538,6 @@ def test_a_command_acts_at_once(live: Live) -> None:
             delays.append(time.monotonic() - began)
     send(live, SetBeta(0.98), SetSpeed(SPEED), Pause(paused=True))  # and leave the machine alone
     assert statistics.median(delays) < 1.0
-
-
-@pytest.mark.slow
-def test_the_page_says_that_the_server_was_killed(browser: Browser) -> None:
-    command = [sys.executable, "-m", "server.cli", "serve", "--no-browser", "--port", "0"]
-    with subprocess.Popen(
-        [*command, "--speed", "50"], cwd=ROOT, stdout=subprocess.PIPE, text=True
-    ) as server:
-        assert server.stdout is not None
-        try:
-            said = ""
-            while "hebbviz is at" not in said:
-                said = server.stdout.readline()
-                assert said, "the server ended"
-            address = said.split()[3]
-            page = load(browser, address, width=WIDTH, height=HEIGHT)
-            gone = page.get_by_text(re.compile("server is gone", re.IGNORECASE))
-            expect(gone).to_have_count(1)
-            expect(gone).not_to_be_visible()
-            server.send_signal(signal.SIGKILL)
-            expect(gone).to_be_visible()
-            page.context.close()
-        finally:
-            server.kill()
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import choose, eventually, load, row, text_of
+from browser import choose, eventually, row, tab_at, text_of
 from playwright.sync_api import Browser, Page
 from raw_client import wait_until
 
@@ -75,31 +75,31 @@ def axes_fit(page: Page) -> bool:
 
 
 def test_many_lanes_are_seen_whatever_is_chosen(site: Site, browser: Browser) -> None:
-    page = load(browser, site.address, width=1100, height=640)
-    worker(site).send(Choose("sonar"))  # a page that has just opened still moves its camera
-    eventually(page, lambda: latest(site).task_name == "sonar")
-    eventually(page, lambda: latest(site).live.step > 20_000)
-    page.wait_for_timeout(1000 * camera.SECONDS)
-    assert stands_at_the_overview(site)
+    with tab_at(browser, site.address, width=1100, height=640) as page:
+        worker(site).send(Choose("sonar"))  # a page that has just opened still moves its camera
+        eventually(page, lambda: latest(site).task_name == "sonar")
+        eventually(page, lambda: latest(site).live.step > 20_000)
+        page.wait_for_timeout(1000 * camera.SECONDS)
+        assert stands_at_the_overview(site)
 
-    box = row(page, "centred").get_by_role("checkbox")
-    assert not box.is_checked()
-    box.click()
-    eventually(page, lambda: latest(site).task.settings == {"centred": True})
-    assert latest(site).task.preset_name == "quick:centred=yes"
-    eventually(page, lambda: "less their mean" in text_of(page) and box.is_checked())
-    eventually(page, lambda: latest(site).live.step > 20_000)
+        box = row(page, "centred").get_by_role("checkbox")
+        assert not box.is_checked()
+        box.click()
+        eventually(page, lambda: latest(site).task.settings == {"centred": True})
+        assert latest(site).task.preset_name == "quick:centred=yes"
+        eventually(page, lambda: "less their mean" in text_of(page) and box.is_checked())
+        eventually(page, lambda: latest(site).live.step > 20_000)
 
-    worker(site).send(Reset(lanes=8))
-    eventually(page, lambda: latest(site).lanes == 8 and "mean of 8 lanes" in text_of(page))
-    assert latest(site).ghost is not None
-    eventually(page, lambda: latest(site).live.step > 20_000)
-    assert page.evaluate(EARLIER) == 0, "one lane is nothing beside the mean of many"
-    worker(site).send(Reset())
-    eventually(page, lambda: latest(site).live.step > 3_000 and page.evaluate(EARLIER) > 5)
+        worker(site).send(Reset(lanes=8))
+        eventually(page, lambda: latest(site).lanes == 8 and "mean of 8 lanes" in text_of(page))
+        assert latest(site).ghost is not None
+        eventually(page, lambda: latest(site).live.step > 20_000)
+        assert page.evaluate(EARLIER) == 0, "one lane is nothing beside the mean of many"
+        worker(site).send(Reset())
+        eventually(page, lambda: latest(site).live.step > 3_000 and page.evaluate(EARLIER) > 5)
 
-    worker(site).send(Pause(paused=True))
-    for theme in ("light", "dark"):
-        choose(page, "theme", theme)
-        page.wait_for_timeout(1000 * THEME_SECONDS[-1])
-        eventually(page, lambda: axes_fit(page))
+        worker(site).send(Pause(paused=True))
+        for theme in ("light", "dark"):
+            choose(page, "theme", theme)
+            page.wait_for_timeout(1000 * THEME_SECONDS[-1])
+            eventually(page, lambda: axes_fit(page))

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import PATIENCE, choose, drag, eventually, field, load, press, row, still, text_of
+from browser import PATIENCE, choose, drag, eventually, field, press, row, still, tab_at, text_of
 from playwright.sync_api import Browser, Page, expect
 from raw_client import RawClient, wait_until
 
@@ -102,9 +102,8 @@ def live(folder: Path) -> Iterator[Live]:
 
 @pytest.fixture(scope="module")
 def tab(browser: Browser, live: Live) -> Iterator[Page]:
-    page = load(browser, live.site.address, width=WIDTH, height=HEIGHT)
-    yield page
-    page.context.close()
+    with tab_at(browser, live.site.address, width=WIDTH, height=HEIGHT) as page:
+        yield page
 
 
 @pytest.fixture
@@ -327,10 +326,11 @@ def replayed(browser: Browser, folder: Path) -> Iterator[tuple[Page, Live]]:
         run.learner, host="127.0.0.1", port=0, speed=None, task_name=None, past=run,
         recording=Options(folder=folder),
     )  # fmt: skip
-    with shown(site) as live:
-        page = load(browser, live.site.address, width=WIDTH, height=HEIGHT)
+    with (
+        shown(site) as live,
+        tab_at(browser, live.site.address, width=WIDTH, height=HEIGHT) as page,
+    ):
         yield page, live
-        page.context.close()
 
 
 def record(path: Path) -> None:

@@ -109,7 +109,7 @@ def test_the_policy_stops_what_the_page_lets_out(shown: Viewer, browser: Browser
         page.close()
 
 
-def _shows_stripes(page: Page, seconds: float = 40.0) -> bool:
+def _shows_stripes(page: Page, seconds: float = 90.0) -> bool:
     """Whether each of the stripes comes to cover a part of the screen."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:

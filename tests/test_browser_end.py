@@ -1,0 +1,37 @@
+"""The end of a server, seen in a real browser: of a process of its own, and with no other tab."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from browser import PATIENCE, tab_at
+from playwright.sync_api import Browser, expect
+
+ROOT = Path(__file__).parents[1]
+SERVE = (sys.executable, "-m", "server.cli", "serve", "--no-browser", "--port", "0")
+
+
+@pytest.mark.slow
+def test_the_page_says_that_the_server_was_killed(browser: Browser) -> None:
+    with subprocess.Popen(
+        [*SERVE, "--speed", "50"], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    ) as server:
+        assert server.stdout is not None
+        try:
+            said = ""
+            while "hebbviz is at" not in said:
+                said = server.stdout.readline()
+                assert said, "the server ended"
+            with tab_at(browser, said.split()[3], width=1100, height=640) as page:
+                gone = page.get_by_text(re.compile("server is gone", re.IGNORECASE))
+                expect(gone).to_have_count(1, timeout=PATIENCE)
+                expect(gone).not_to_be_visible(timeout=PATIENCE)
+                server.send_signal(signal.SIGKILL)
+                expect(gone).to_be_visible(timeout=PATIENCE)
+        finally:
+            server.kill()
