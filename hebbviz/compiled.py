@@ -12,11 +12,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from numba import njit, types
+from numba import cfunc, njit, types
 from numba.extending import intrinsic
 
 _KERNELS = (
-    "compiled.py", "chance.py", "squashing.py", "layout.py", "rule.py", "engine.py",
+    "compiled.py", "chance.py", "squashing.py", "layout.py", "rule.py", "written.py", "engine.py",
 )  # fmt: skip
 _HERE = Path(__file__).parent
 _STAMP = tuple(zlib.crc32((_HERE / name).read_bytes()) for name in _KERNELS)
@@ -33,7 +33,16 @@ def compiled(function: Callable[..., Any]) -> Any:
     return dispatcher
 
 
-_intrinsic: Any = intrinsic  # numba gives it a type that knows nothing of how it is called
+def called(signature: Any) -> Any:
+    """For a function of a task that compiled functions call by its address, and that allocates no
+    array: references to those it is given are not counted, which would cost more than a small
+    world's step does.
+    """
+    return _cfunc(signature, cache=True, _nrt=False)
+
+
+_cfunc: Any = cfunc
+_intrinsic: Any = intrinsic  # numba gives them types that know little of how they are called
 
 
 @_intrinsic

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from hebbviz import rule
+from hebbviz import rule, written
 from hebbviz.compiled import compiled, inlined, row
 from hebbviz.layout import BLOCK
 from hebbviz.rule import A_NEURON, BY_HAND, FIRST_NEURON, FIRST_OUTPUT, REWARD, U, V, at
@@ -210,6 +210,41 @@ def engine(width: int) -> Engine:
                 rule.hold(state, table, width, observation)
 
     return Engine(respond, settle, run, hold)
+
+
+@cache
+def written_out(width: int, plan: str) -> Any:
+    """`run` for tiles of `width` lanes of the one network that has this plan, see `written`.
+
+    Nothing is noted or clamped. The step before is `engine`'s, which takes in the input and the
+    reward given by hand, and so is the one after, which leaves behind what this one leaves out.
+    """
+
+    @compiled
+    def run(  # type: ignore[no-untyped-def]
+        n, start, answer, state, table, keys, low, high, totals, world, data, observation, gamma,
+        fall, modulate, memory, constants, modulated, instead,
+    ):  # fmt: skip
+        action = np.empty((at(table[0], rule.OUTPUTS), width))
+        reward, ended, replaced = np.zeros(width), np.zeros(width), np.empty(width)
+        sent = modulated if modulated.shape[0] > 0 else reward
+        if instead.shape[0] > 0:
+            sent = replaced
+        for t in range(n):
+            if fall < np.inf and (start + t) % FALL_EVERY == 0:
+                _fall(state, table, width, gamma, fall, start + t)
+            written.respond(plan, state, width, keys, start + t, low, high)
+            _act(state, table, width, action)
+            new_input = answer(world, action, data, keys, start + t, observation, reward, ended)
+            if modulated.shape[0] > 0:
+                _modulate(modulate, memory, constants, reward, ended, modulated)
+            if instead.shape[0] > 0:
+                replaced[:] = instead[t]
+            written.reinforce(plan, state, width, totals, reward, sent, ended)
+            if new_input:
+                rule.hold(state, table, width, observation)
+
+    return run
 
 
 @compiled

@@ -13,10 +13,11 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
-from numba import cfunc, njit
+from numba import njit
 from numpy.typing import NDArray
 
 from hebbviz.chance import WORLD, four_uniforms
+from hebbviz.compiled import called
 from hebbviz.engine import WORLD as WORLD_SIGNATURE
 from hebbviz.exact import ExactNetwork
 from hebbviz.limits import check_places
@@ -47,7 +48,7 @@ def _drawn(data, row, count, draw):  # type: ignore[no-untyped-def]
     return count - 1
 
 
-@cfunc(WORLD_SIGNATURE, cache=True)
+@called(WORLD_SIGNATURE)
 def answer(world, action, data, keys, step, observation, reward, ended):  # type: ignore[no-untyped-def]
     """The world's step for all lanes, see `engine.WORLD`; `data` is the task's."""
     states, sights = np.int64(data[0, _STATES]), np.int64(data[0, _SIGHTS])

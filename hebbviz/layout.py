@@ -26,6 +26,9 @@ Rows = NDArray[np.intp]
 WIDTHS = (1, 16, 64)
 """Lanes of a tile, for each of which the engine is compiled; lanes that nobody asked for idle."""
 
+VECTOR = 8
+"""Lanes that a common processor computes at once in float32."""
+
 SECTIONS = (
     "activity",  # u of inputs, then neurons: value; (units, lanes)
     "before",  # u of the step before, which this step's v and z were made from, (units, lanes)
@@ -94,8 +97,12 @@ def aligned(rows: int, width: int, dtype: type[np.generic] = np.float64) -> NDAr
     return room[first : first + size].view(dtype).reshape(rows, width)
 
 
-def width_for(lanes: int) -> int:
-    """Of a tile of so many lanes."""
+def width_for(lanes: int, *, written_out: bool = False) -> int:
+    """Of a tile of so many lanes. What is compiled for one network alone has any number of whole
+    vectors.
+    """
+    if written_out:
+        return -(-lanes // VECTOR) * VECTOR
     return next(w for w in WIDTHS if w >= lanes)
 
 

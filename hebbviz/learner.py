@@ -64,6 +64,9 @@ class Learner:
     fall : T in steps, γ in force at step t being γ T/(T + t); infinity for a γ that stays.
     dtype : of weights, traces and potentials: float64, or float32 for more lanes a second. Worlds,
         rewards and totals are float64 in both.
+    written_out : whether `skip` is to run what is compiled for this network alone. The run is the
+        same; if the network is small it is up to a quarter faster, once a quarter of a minute has
+        been spent on compiling. For long runs of many lanes of a compiled task.
     seed : 0 to 2³² - 1. Lane k of a seed is the same run whatever lanes are beside it (unless the
         rule lets lanes touch each other).
 
@@ -89,6 +92,7 @@ class Learner:
         lanes: int = 1,
         first_lane: int = 0,
         dtype: type[np.floating[Any]] | str = np.float64,
+        written_out: bool = False,
     ) -> None:
         if not 1 <= lanes <= MOST_LANES:
             raise ValueError(f"lanes must be from 1 to {MOST_LANES}, got {lanes}")
@@ -101,14 +105,15 @@ class Learner:
         self.lanes, self.first_lane = lanes, first_lane
         self.watch = 0
         self.step = 0
-        self.dtype = check_dtype(dtype)
+        self.dtype, self._written_out = check_dtype(dtype), written_out
         self.layout = Layout(self.topology)
         self._tiles: list[Tile] = []
         for size in cut(lanes):
             first = first_lane + sum(t.lanes for t in self._tiles)
             self._tiles.append(
-                Tile(self.layout, seed=seed, first_lane=first, lanes=size, dtype=self.dtype)
-            )
+                Tile(self.layout, seed=seed, first_lane=first, lanes=size, dtype=self.dtype,
+                     written=written_out)
+            )  # fmt: skip
         self._gamma = np.zeros((len(self.topology.projections), lanes))
         self._frozen = False
         self.probes: tuple[int, ...] = ()
@@ -517,7 +522,7 @@ class Learner:
         twin = Learner(
             self.task if task is None else task, topology=self.topology, beta=self.beta,
             gamma=self.gamma, rule=self._rule, fall=self._fall, seed=self.seed, lanes=self.lanes,
-            first_lane=self.first_lane, dtype=self.dtype,
+            first_lane=self.first_lane, dtype=self.dtype, written_out=self._written_out,
         )  # fmt: skip
         twin.look_at(self.watch)
         return twin

@@ -44,7 +44,7 @@ W, Z = range(len(SYNAPSE))
 WIDEST = WIDTHS[-1]
 _PRE, _PRE_SIZE, _POST, _POST_SIZE, _SYNAPSE, _IS_HELD, _HELD, _IS_FIRST = range(len(COLUMNS))
 
-A_NEURON, A_PROJECTION, _A_HELD, _A_SYNAPSE = (
+A_NEURON, A_PROJECTION, A_HELD, A_SYNAPSE = (
     len(record) for record in (NEURON, PROJECTION, HELD, SYNAPSE)
 )
 """Rows of a record."""
@@ -97,9 +97,9 @@ def _potentials(state, table, width):  # type: ignore[no-untyped-def]
                 for lane in range(count(state, width)):
                     v[lane] = 0.0
             if at(p, _IS_HELD):
-                _add_held(state, width, v, q, at(p, _HELD) + i * _A_HELD)
+                _add_held(state, width, v, q, at(p, _HELD) + i * A_HELD)
             else:
-                y = at(p, _SYNAPSE) + i * at(p, _PRE_SIZE) * _A_SYNAPSE
+                y = at(p, _SYNAPSE) + i * at(p, _PRE_SIZE) * A_SYNAPSE
                 _add_each(state, width, v, y, at(p, _PRE), at(p, _PRE_SIZE))
 
 
@@ -117,13 +117,13 @@ def _add_held(state, width, v, q, h):  # type: ignore[no-untyped-def]
 def _add_each(state, width, v, y, pre, pre_size):  # type: ignore[no-untyped-def]
     """What `pre_size` neurons from record `pre` on add, by the synapses from record y on."""
     for j in range(0, pre_size - 1, 2):  # two at a time: half as many passes over the lanes
-        s, n = y + j * _A_SYNAPSE, pre + j * A_NEURON
+        s, n = y + j * A_SYNAPSE, pre + j * A_NEURON
         w0, u0 = row(state, s + W, width), row(state, n + U, width)
-        w1, u1 = row(state, s + _A_SYNAPSE + W, width), row(state, n + A_NEURON + U, width)
+        w1, u1 = row(state, s + A_SYNAPSE + W, width), row(state, n + A_NEURON + U, width)
         for lane in range(count(state, width)):
             v[lane] = v[lane] + w0[lane] * u0[lane] + w1[lane] * u1[lane]
     if pre_size % 2:
-        w = row(state, y + (pre_size - 1) * _A_SYNAPSE + W, width)
+        w = row(state, y + (pre_size - 1) * A_SYNAPSE + W, width)
         u = row(state, pre + (pre_size - 1) * A_NEURON + U, width)
         for lane in range(count(state, width)):
             v[lane] += w[lane] * u[lane]
@@ -209,12 +209,12 @@ def _remember(state, table, width):  # type: ignore[no-untyped-def]
         for i in range(at(p, _POST_SIZE)):
             surprise = row(state, at(p, _POST) + i * A_NEURON + SURPRISE, width)
             if at(p, _IS_HELD):
-                z_input = row(state, at(p, _HELD) + i * _A_HELD + Z_INPUT, width)
+                z_input = row(state, at(p, _HELD) + i * A_HELD + Z_INPUT, width)
                 for lane in range(count(state, width)):
                     z_input[lane] = beta * z_input[lane] + surprise[lane]
             else:
                 for j in range(at(p, _PRE_SIZE)):
-                    y = at(p, _SYNAPSE) + (i * at(p, _PRE_SIZE) + j) * _A_SYNAPSE
+                    y = at(p, _SYNAPSE) + (i * at(p, _PRE_SIZE) + j) * A_SYNAPSE
                     z, u = (
                         row(state, y + Z, width),
                         row(state, at(p, _PRE) + j * A_NEURON + BEFORE, width),
@@ -237,13 +237,13 @@ def reinforce(state, table, width):  # type: ignore[no-untyped-def]
             for lane in range(count(state, width)):
                 gain[lane] += push[lane] * decay[lane]
             for i in range(at(p, _POST_SIZE)):
-                h = at(p, _HELD) + i * _A_HELD
+                h = at(p, _HELD) + i * A_HELD
                 w_input, z_input = row(state, h + W_INPUT, width), row(state, h + Z_INPUT, width)
                 for lane in range(count(state, width)):
                     w_input[lane] += push[lane] * z_input[lane]
         else:
             for i in range(at(p, _POST_SIZE) * at(p, _PRE_SIZE)):
-                y = at(p, _SYNAPSE) + i * _A_SYNAPSE
+                y = at(p, _SYNAPSE) + i * A_SYNAPSE
                 w, z = row(state, y + W, width), row(state, y + Z, width)
                 for lane in range(count(state, width)):
                     w[lane] += push[lane] * z[lane]
@@ -296,13 +296,13 @@ def _fold(state, table, width, observation, k, first, end):  # type: ignore[no-u
     decay, gain = row(state, q + DECAY, width), row(state, q + GAIN, width)
     x_squared = row(state, q + X_SQUARED, width)
     for i in range(at(p, _POST_SIZE)):
-        h = at(p, _HELD) + i * _A_HELD
+        h = at(p, _HELD) + i * A_HELD
         z_input, w_input = row(state, h + Z_INPUT, width), row(state, h + W_INPUT, width)
         w_drive, z_drive = row(state, h + W_DRIVE, width), row(state, h + Z_DRIVE, width)
         for lane in range(first, end):
             w_drive[lane] = z_drive[lane] = 0.0
         for j in range(pre):
-            y = at(p, _SYNAPSE) + (i * pre + j) * _A_SYNAPSE
+            y = at(p, _SYNAPSE) + (i * pre + j) * A_SYNAPSE
             w, z = row(state, y + W, width), row(state, y + Z, width)
             x, new = row(state, first_x + j, width), row(observation, first_new + j, width)
             for lane in range(first, end):

@@ -14,15 +14,19 @@ from numpy.typing import NDArray
 
 from hebbviz import held
 from hebbviz.chance import SPIKES, uniforms
-from hebbviz.engine import FALL_EVERY, engine, probabilities
+from hebbviz.engine import FALL_EVERY, engine, probabilities, written_out
 from hebbviz.layout import NEURON, WIDTHS, Layout, aligned, width_for
 from hebbviz.rules import Rule
 from hebbviz.rules.paper import PAPER
+from hebbviz.written import plan_of
 
 Array = NDArray[np.float64]
 
 NOBODY = -1
 """In place of a watched lane: nothing is noted."""
+
+_LONG = 3
+"""Steps of which the first and the last are not all."""
 
 
 class Notes(NamedTuple):
@@ -58,14 +62,20 @@ def cut(lanes: int) -> list[int]:
 
 
 class Tile:
-    """Lanes `first_lane` to `first_lane + lanes - 1` of a seed; float32 or float64."""
+    """Lanes `first_lane` to `first_lane + lanes - 1` of a seed; float32 or float64.
+
+    `written` says whether long stretches are to be run by what is compiled for this network alone.
+    """
 
     def __init__(
-        self, layout: Layout, *, seed: int, first_lane: int, lanes: int, dtype: type[np.floating]
+        self, layout: Layout, *, seed: int, first_lane: int, lanes: int,
+        dtype: type[np.floating], written: bool = False,
     ) -> None:  # fmt: skip
         self.layout, self.first_lane, self.lanes = layout, first_lane, lanes
-        self.width = width_for(lanes)
+        plan = plan_of(layout) if written else None
+        self.width = width_for(lanes, written_out=plan is not None)
         self._engine = engine(self.width)
+        self._written_out = None if plan is None else written_out(self.width, plan)
         self.network: NDArray[Any] = layout.empty_state(self.width, dtype)
         numbers = (first_lane + np.arange(self.width)) % 2**32
         self._keys = np.stack([np.full(self.width, seed), numbers]).astype(np.uint32)
@@ -190,14 +200,37 @@ class Tile:
         notes: Notes, sums: Sums,
     ) -> None:  # fmt: skip
         """`steps` steps of a compiled world, the first of them number `start`."""
+        if self._written_out is None or watch != NOBODY or self._clamped or steps < _LONG:
+            self._run(steps, start, answer, data, instead, watch, notes, sums)
+        else:
+            first, last = slice(0, 1), slice(steps - 1, steps)
+            self._run(1, start, answer, data, instead[first], watch, notes, sums)
+            self._run_written_out(steps - 2, start + 1, answer, data, instead[1:-1])
+            self._run(1, start + steps - 1, answer, data, instead[last], watch, notes, sums)
+        if steps > 0:
+            self._responded = start + steps - 1
+
+    def _run(
+        self, steps: int, start: int, answer: Any, data: Array, instead: Array, watch: int,
+        notes: Notes, sums: Sums,
+    ) -> None:  # fmt: skip
         self._engine.run(
             steps, start, answer, self.network, self.layout.table, self._keys,
             *self.layout.topology.activity, self._clamped, self.totals, self.world, data,
             self._observed, self._gamma, self._fall, self._modulate, self.memory, self._constants,
             self._modulated, instead, watch, *notes, *sums,
         )  # fmt: skip
-        if steps > 0:
-            self._responded = start + steps - 1
+
+    def _run_written_out(
+        self, steps: int, start: int, answer: Any, data: Array, instead: Array
+    ) -> None:
+        assert self._written_out is not None
+        self._written_out(
+            steps, start, answer, self.network, self.layout.table, self._keys,
+            *self.layout.topology.activity, self.totals, self.world, data, self._observed,
+            self._gamma, self._fall, self._modulate, self.memory, self._constants,
+            self._modulated, instead,
+        )  # fmt: skip
 
     def respond(self, step: int) -> Array:
         """What the outputs do at this step of a world in Python, (outputs, lanes)."""

@@ -141,7 +141,8 @@ def lanes(
 ) -> Contestant:
     """`count` lanes in each of `threads` threads."""
     learners = [
-        Learner(task, lanes=count, first_lane=k * count, dtype=dtype) for k in range(threads)
+        Learner(task, lanes=count, first_lane=k * count, dtype=dtype, written_out=count > 1)
+        for k in range(threads)
     ]
     synapses = learners[0].topology.synapses
     if threads == 1:

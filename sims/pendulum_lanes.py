@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import cfunc, njit
+from numba import njit
 from numpy.typing import NDArray
 
 from hebbviz.chance import NEXT_EPISODE, four_uniforms
-from hebbviz.compiled import row
+from hebbviz.compiled import called, row
 from hebbviz.engine import WORLD
 from hebbviz.task import CompiledTask
 from sims.pendulum import SEEN, Pendulum
@@ -62,12 +62,10 @@ def _step(world, width, action):  # type: ignore[no-untyped-def]
     x, y = row(world, 0, width), row(world, 1, width)
     for k in range(width):
         if abs(x[k]) > _limit or abs(y[k]) > _limit:
-            state = world[:, k].copy()
-            _bounce(state)
-            world[:, k] = state
+            _bounce(world[:, k])
 
 
-@cfunc(WORLD, cache=True)
+@called(WORLD)
 def answer(world, action, data, keys, step, observation, reward, ended):  # type: ignore[no-untyped-def]
     """The world's step for all lanes, see `engine.WORLD`; `data` (1, 8) holds the gains."""
     lanes = world.shape[1]

@@ -15,11 +15,11 @@ from functools import cache
 from importlib.resources import files
 
 import numpy as np
-from numba import cfunc, njit
+from numba import njit
 from numpy.typing import NDArray
 
 from hebbviz.chance import WORLD, Draws, four_uniforms
-from hebbviz.compiled import row
+from hebbviz.compiled import called, row
 from hebbviz.engine import WORLD as WORLD_SIGNATURE
 from hebbviz.layout import WIDTHS
 from hebbviz.learner import Learner
@@ -38,7 +38,9 @@ HOLD = 1000
 MINE, ROCK = 1.0, -1.0
 CENTRED = "centred"
 
-_TICK, _INDEX, _EPOCH, _PATTERN, _PREDICTION, _RIGHT, _LENGTH, _SHUFFLES, _ORDER = range(9)
+(
+    _TICK, _INDEX, _EPOCH, _PATTERN, _LABEL, _PREDICTION, _RIGHT, _LENGTH, _SHUFFLES, _ORDER,
+) = range(10)  # fmt: skip
 _MEAN = _ORDER + PATTERNS
 _HOLD = ENERGIES + 1
 """Row of `Sonar.data`."""
@@ -70,19 +72,16 @@ def _shuffle(world, lane, seed, number, step):  # type: ignore[no-untyped-def]
 @njit(forceinline=True, error_model="numpy")
 def _judge(world, width, data, action, reward):  # type: ignore[no-untyped-def]
     """Whether the predictions of all lanes are right, and a tick; True where a pattern has been
-    seen long enough. Loops are short: each is one that the compiler makes of several lanes at once.
+    seen long enough.
     """
     prediction, right = row(world, _PREDICTION, width), row(world, _RIGHT, width)
-    pattern, tick = row(world, _PATTERN, width), row(world, _TICK, width)
-    said, truth = row(action, 0, width), row(data, ENERGIES, PATTERNS)
-    hold = data[_HOLD, 0]
-    over = 0
-    for lane in range(width):  # the truth first, in the place of the verdict
-        right[lane] = truth[np.uint32(np.int32(pattern[lane]))]
+    label, tick = row(world, _LABEL, width), row(world, _TICK, width)
+    said, hold = row(action, 0, width), data[_HOLD, 0]
     for lane in range(width):
         prediction[lane] = said[lane]
+        right[lane] = 1.0 if said[lane] == label[lane] else 0.0
+    over = 0
     for lane in range(width):
-        right[lane] = 1.0 if prediction[lane] == right[lane] else 0.0
         tick[lane] += 1.0
         over += 1 if tick[lane] >= hold else 0
     for lane in range(width):
@@ -96,7 +95,7 @@ def _judge_one(world, data, action):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _turn(world, lane, seed, number, step):  # type: ignore[no-untyped-def]
+def _turn(world, lane, data, seed, number, step):  # type: ignore[no-untyped-def]
     """Go to the next pattern, shuffling each epoch."""
     world[_TICK, lane] = 0.0
     world[_INDEX, lane] += 1.0
@@ -106,6 +105,7 @@ def _turn(world, lane, seed, number, step):  # type: ignore[no-untyped-def]
         if world[_SHUFFLES, lane] == 1.0:
             _shuffle(world, lane, seed, number, step)
     world[_PATTERN, lane] = world[_ORDER + np.int64(world[_INDEX, lane]), lane]
+    world[_LABEL, lane] = data[ENERGIES, np.int64(world[_PATTERN, lane])]
 
 
 @njit(cache=True, error_model="numpy")
@@ -118,7 +118,7 @@ def _observation(world, lane, data, observation):  # type: ignore[no-untyped-def
             observation[j, lane] -= world[_MEAN + j, lane]
 
 
-@cfunc(WORLD_SIGNATURE, cache=True)
+@called(WORLD_SIGNATURE)
 def answer(world, action, data, keys, step, observation, reward, ended):  # type: ignore[no-untyped-def]
     """The world's step for all lanes, see `engine.WORLD`."""
     lanes = world.shape[1]
@@ -129,16 +129,16 @@ def answer(world, action, data, keys, step, observation, reward, ended):  # type
     if is_over:
         for lane in range(lanes):
             if world[_TICK, lane] >= data[_HOLD, 0]:
-                _turn(world, lane, keys[0, lane], keys[1, lane], step)
+                _turn(world, lane, data, keys[0, lane], keys[1, lane], step)
                 _observation(world, lane, data, observation)
     return 1 if is_over else 0
 
 
 class Sonar(CompiledTask):
-    """State: steps this pattern was shown, place in the epoch, epoch, pattern, prediction (±1),
-    whether it was right, patterns in an epoch, whether epochs are shuffled, then all patterns,
-    the training set first, in the order of this epoch. With centred inputs the mean energies of
-    the training set follow; the network is shown the energies less these.
+    """State: steps this pattern was shown, place in the epoch, epoch, pattern, its label (±1), the
+    prediction, whether it was right, patterns in an epoch, whether epochs are shuffled, then all
+    patterns, the training set first, in the order of this epoch. With centred inputs the mean
+    energies of the training set follow; the network is shown the energies less these.
     """
 
     name = "sonar"
@@ -196,7 +196,7 @@ class Sonar(CompiledTask):
         world = state.reshape(-1, 1)
         if _judge_one(world, self._data, action.reshape(-1, 1)):
             seed, lane = np.uint32(draws.seed), np.uint32(draws.lane)
-            _turn(world, 0, seed, lane, np.int64(draws.step))
+            _turn(world, 0, self._data, seed, lane, np.int64(draws.step))
         return world[:, 0]
 
     def observation(self, state: Array) -> Array:
@@ -208,6 +208,9 @@ class Sonar(CompiledTask):
 
     def check_states(self, states: Array) -> None:
         check_places("a pattern", states[:, _PATTERN], PATTERNS)
+        labels = load()[states[:, _PATTERN].astype(np.int64), ENERGIES]
+        if (states[:, _LABEL] != labels).any():
+            raise ValueError("a pattern's label must be the one in the data")
         check_places("an epoch's length", states[:, _LENGTH] - 1.0, PATTERNS)
         check_places("a place in the epoch", states[:, _INDEX], states[:, _LENGTH].min())
         if (np.sort(states[:, _ORDER:_MEAN]) != np.arange(PATTERNS)).any():
@@ -237,8 +240,7 @@ class Sonar(CompiledTask):
     def read(self, states: Array) -> Array:
         """Patterns are counted from 1, as on the page."""
         pattern = states[:, _PATTERN].astype(np.int64)
-        label = load()[pattern, ENERGIES]
-        return np.column_stack((pattern + 1.0, label, states[:, _PREDICTION]))
+        return np.column_stack((pattern + 1.0, states[:, _LABEL], states[:, _PREDICTION]))
 
     def pose(self, state: Array) -> Pose:
         nothing = super().pose(state)
@@ -253,6 +255,7 @@ def _errors(tallies: Sequence[Tally]) -> Array:
 def _world(order: Array, length: int, *, shuffles: bool) -> Array:
     state = np.zeros(_ORDER + PATTERNS)
     state[_PATTERN], state[_PREDICTION] = order[0], ROCK
+    state[_LABEL] = load()[int(order[0]), ENERGIES]
     state[_LENGTH], state[_SHUFFLES] = length, float(shuffles)
     state[_ORDER:] = order
     return state

@@ -11,7 +11,7 @@ from hebbviz.rules.baseline import Baseline
 from sims.loading import make_task
 from sims.sonar import ENERGIES, HOLD, PATTERNS, TRAINING, Sonar, load
 
-PATTERN, ORDER = 3, 8
+PATTERN, ORDER = 3, 9
 MEAN = ORDER + PATTERNS
 
 

@@ -13,7 +13,7 @@ from hebbviz.reference import Reference
 from hebbviz.task import Tally
 from sims.sonar import ENERGIES, HOLD, PATTERNS, TRAINING, Sonar, load
 
-TICK, INDEX, EPOCH, PATTERN, ORDER = 0, 1, 2, 3, 8
+TICK, INDEX, EPOCH, PATTERN, LABEL, ORDER = 0, 1, 2, 3, 4, 9
 
 
 def test_the_data_is_the_published_one():
@@ -133,6 +133,7 @@ def test_steps_are_those_of_the_reference():
     world = learner.world
     world[INDEX] = TRAINING - 2
     world[PATTERN] = world[ORDER + TRAINING - 2]
+    world[LABEL] = load()[int(world[PATTERN, 0]), ENERGIES]
     learner.place(world)
     steps, topology = 4500, learner.topology
     weights = [

@@ -20,6 +20,9 @@ from sims.loading import make_task
 
 Array = NDArray[np.float64]
 
+LONG = 5 * 10**9
+"""Steps of one lane from which on it pays to compile for the one network of a plan."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
@@ -79,7 +82,8 @@ class Plan:
         """Some of the lanes at their start; raises ValueError and TaskError as `Learner` does."""
         return Learner(
             self.make_task(), hidden=self.hidden, beta=self.beta, gamma=self.gamma, seed=self.seed,
-            first_lane=first_lane, lanes=lanes, **{**self.options, "rule": self.rule()},
+            first_lane=first_lane, lanes=lanes, written_out=lanes * self.steps >= LONG,
+            **{**self.options, "rule": self.rule()},
         )  # fmt: skip
 
     def for_workers(self) -> Self:

@@ -7,7 +7,6 @@ waits for the shares under way, keeps them, and says so; killed, it loses them a
 from __future__ import annotations
 
 import threading
-from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
@@ -114,12 +113,12 @@ class _Driver:
         for plan, store in zip(plans, self._stores, strict=True):
             kept = [] if store is None else store.read()
             self._tiles.append({t.first_lane: t for t in _completed(plan, kept, pieces)})
-        self._waiting = deque(
+        self._waiting = [
             (k, tile)
             for k, plan in enumerate(plans)
             for tile in self._tiles[k].values()
             if tile.step < plan.steps
-        )
+        ]
         self._running: dict[Future[Tile], int] = {}
 
     def run(self, stop: threading.Event, progress: Callable[[float], object]) -> None:
@@ -139,12 +138,18 @@ class _Driver:
 
     def _submit(self) -> None:
         """As many shares as there are workers: one that waits could not be told from a running one
-        once the run is to stop.
+        once the run is to stop. The tile with most before it goes first, so that no worker has to
+        bring the last one to its end while the others rest.
         """
         room = max(1, self._workers.count()) - len(self._running)
         for _ in range(min(room, len(self._waiting))):
-            k, tile = self._waiting.popleft()
+            self._waiting.sort(key=self._steps_left)
+            k, tile = self._waiting.pop()
             self._running[self._workers.submit(self._plans[k].for_workers(), tile)] = k
+
+    def _steps_left(self, waiting: tuple[int, Tile]) -> int:
+        k, tile = waiting
+        return self._plans[k].steps - tile.step
 
     def _take(self, k: int, tile: Tile) -> None:
         self._tiles[k][tile.first_lane] = tile
