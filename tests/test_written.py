@@ -48,20 +48,16 @@ def live_through(learner):
     learner.skip(1000)
 
 
+@pytest.mark.slow  # each is compiled for a while
 @pytest.mark.parametrize(
     ("task", "dtype", "lanes", "topology"),
     [
         ("gradient", "float64", 5, tangled("gradient", SYMMETRIC)),
-        *[
-            pytest.param(*case, marks=pytest.mark.slow)  # each is compiled for a while
-            for case in (
-                ("gradient", "float32", 5, tangled("gradient", BINARY)),
-                ("prediction", "float64", 64, None),
-                ("sonar", "float32", 50, None),
-                ("sonar", "float64", 67, None),
-                ("pendulum", "float32", 64, None),
-            )
-        ],
+        ("gradient", "float32", 5, tangled("gradient", BINARY)),
+        ("prediction", "float64", 64, None),
+        ("sonar", "float32", 50, None),
+        ("sonar", "float64", 67, None),
+        ("pendulum", "float32", 64, None),
     ],
 )
 def test_it_is_the_same_run_to_the_bit(task, dtype, lanes, topology):
