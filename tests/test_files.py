@@ -155,7 +155,8 @@ def test_a_header_that_does_not_fit_is_told(path, entries):
 @pytest.mark.parametrize(
     ("task", "row", "value"),
     [
-        *(("sonar", row, value) for row in (1, 3, 6, 8, 215) for value in (-1.0, 0.5, 1e9, np.nan)),
+        *(("sonar", row, value) for row in (1, 3, 7, 9, 216) for value in (-1.0, 0.5, 1e9, np.nan)),
+        *(("sonar", 4, value) for value in (0.5, 1e9, np.nan)),
         *(("filtering", row, value) for row in (0, 1, 2) for value in (-1.0, 0.5, 1e18, np.nan)),
     ],
 )
