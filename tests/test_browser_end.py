@@ -12,6 +12,8 @@ import pytest
 from browser import PATIENCE, tab_at
 from playwright.sync_api import Browser, expect
 
+expect.set_options(timeout=PATIENCE)
+
 ROOT = Path(__file__).parents[1]
 SERVE = (sys.executable, "-m", "server.cli", "serve", "--no-browser", "--port", "0")
 
@@ -29,9 +31,9 @@ def test_the_page_says_that_the_server_was_killed(browser: Browser) -> None:
                 assert said, "the server ended"
             with tab_at(browser, said.split()[3], width=1100, height=640) as page:
                 gone = page.get_by_text(re.compile("server is gone", re.IGNORECASE))
-                expect(gone).to_have_count(1, timeout=PATIENCE)
-                expect(gone).not_to_be_visible(timeout=PATIENCE)
+                expect(gone).to_have_count(1)
+                expect(gone).not_to_be_visible()
                 server.send_signal(signal.SIGKILL)
-                expect(gone).to_be_visible(timeout=PATIENCE)
+                expect(gone).to_be_visible()
         finally:
             server.kill()
