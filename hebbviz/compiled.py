@@ -21,9 +21,14 @@ _KERNELS = (
 _HERE = Path(__file__).parent
 _STAMP = tuple(zlib.crc32((_HERE / name).read_bytes()) for name in _KERNELS)
 
-INLINED: Any = {"forceinline": True, "error_model": "numpy"}
+INLINED: Any = {
+    "forceinline": True, "error_model": "numpy",
+    "no_cpython_wrapper": True, "no_cfunc_wrapper": True,
+}  # fmt: skip
 inlined: Any = njit(**INLINED)
-"""For a small function that only compiled functions call; cached as a part of them."""
+"""For a small function that only compiled functions call; cached as a part of them. What Python or
+C would need to call it is left out: a third of the time to compile went into that.
+"""
 
 
 def compiled(function: Callable[..., Any]) -> Any:

@@ -205,7 +205,8 @@ def engine(width: int) -> Engine:
                     extremes, probes,
                 )  # fmt: skip
                 if worlds.shape[0] > 0:
-                    worlds[t] = world[:, watch]
+                    for k in range(world.shape[0]):
+                        worlds[t, k] = world[k, watch]
             if new_input:
                 rule.hold(state, table, width, observation)
 
