@@ -92,8 +92,8 @@ INLINE Words product(Words a, uint64_t m)
 
 INLINE void philox(Words c[4], uint32_t seed, Words lane)
 {
-#pragma GCC unroll 10
-    for (uint32_t round = 0; round < 10; round++) {
+#pragma GCC unroll 7
+    for (uint32_t round = 0; round < 7; round++) {
         const uint32_t k0 = seed + round * 0x9E3779B9u;
         const Words k1 = lane + round * (uint64_t)0xBB67AE85u;
         const Words p0 = product(c[0], 0xD2511F53u), p1 = product(c[2], 0xCD9E8D57u);

@@ -31,7 +31,7 @@ FLAGS = (
     "-fno-associative-math",  # rounding by adding and taking away a large number must not be undone
 )  # fmt: skip
 GCC_FLAGS = ("-fschedule-insns", "-fsched-pressure")
-"""A quarter faster: the ten rounds of one random number wait for each other, others need not."""
+"""A quarter faster: the rounds of one random number wait for each other, others need not."""
 LANES, SYNAPSES, NEURONS = 64, 8 * 60 + 8, 9
 
 
