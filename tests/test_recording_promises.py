@@ -162,11 +162,8 @@ def made_again(recording: Recording, task_name: str | None = None) -> bool:
 # Killed
 
 
-@pytest.mark.parametrize(
-    "command",
-    [pytest.param(train(), id="train", marks=pytest.mark.slow)]
-    + [pytest.param(serve("--speed", 50), id="serve")],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("command", [train(), serve("--speed", 50)], ids=["train", "serve"])
 def test_a_program_that_is_killed_loses_a_second_at_most(
     command: list[object], tmp_path: Path, start: Callable[..., Program]
 ) -> None:
@@ -197,7 +194,7 @@ TRAIN, SERVE = train(), serve("--speed", "max")
     ("command", "number"),
     [
         pytest.param(TRAIN, signal.SIGTERM, id="train-15"),
-        pytest.param(SERVE, signal.SIGINT, id="serve-2"),
+        pytest.param(SERVE, signal.SIGINT, id="serve-2", marks=pytest.mark.slow),
         pytest.param(TRAIN, signal.SIGINT, id="train-2", marks=pytest.mark.slow),
         pytest.param(SERVE, signal.SIGTERM, id="serve-15", marks=pytest.mark.slow),
     ],
@@ -403,6 +400,7 @@ def test_what_is_no_recording_is_one_line_and_exit_2(
     assert time.monotonic() - began < 10.0
 
 
+@pytest.mark.slow
 def test_what_is_damaged_is_said_by_a_program_in_one_line(bad: Path, whole: Recording) -> None:
     """In a process of its own, where rerun's own log and warnings would be seen."""
     (bad / "cut.rrd").write_bytes(whole.path.read_bytes()[:-1000])
@@ -447,6 +445,7 @@ def fill(folder: Path) -> None:
 BIG = ("--budget", "10GB")
 
 
+@pytest.mark.slow
 def test_a_training_on_a_full_disk_ends_with_its_figures(
     tmp_path: Path, start: Callable[..., Program]
 ) -> None:
@@ -591,6 +590,7 @@ def test_a_slow_disk_drops_steps_but_no_change_and_holds_up_nothing(
     assert made_again(recording)
 
 
+@pytest.mark.slow
 def test_a_disk_that_never_answers_is_given_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -248,7 +248,9 @@ def drive(run: Run, watch: Watch, steps: int, stretch: int) -> None:
         watch.note(moment, run.advance(min(stretch, end - run.learner.step)))
 
 
-@pytest.mark.parametrize("stretch", [3, 50, 5000])
+@pytest.mark.parametrize(
+    "stretch", [50, *(pytest.param(k, marks=pytest.mark.slow) for k in (3, 5000))]
+)
 def test_excerpts_are_long_and_true(stretch: int) -> None:
     """What is shown is what happened, also across a change, and it goes on for a while."""
     run, watch = new_run(seed=4), Watch()
