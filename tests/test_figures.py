@@ -192,7 +192,7 @@ def test_sonar_shows_the_errors_of_frozen_copies(made):
     figure = made("sonar")
     columns, says = figure.columns, figure.says
     np.testing.assert_array_equal(columns["epoch"], [0, 1, 2])
-    learner = Learner(Sonar("quick"), lanes=2)
+    learner = Learner(Sonar("quick"), lanes=2, dtype="float32")
     for epoch in range(3):
         for name, errors in learner.task.evaluate(learner).items():
             shown = [columns[f"{name}_{lane}"][epoch] for lane in range(2)]

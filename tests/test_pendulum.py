@@ -20,16 +20,13 @@ RANDOM = 0.61
     "world", [PendulumLanes, pytest.param(Pendulum, marks=pytest.mark.slow)]
 )  # fmt: skip
 def test_quick_is_learnt(world):
-    """In 6 000 s of its own time, the mean time to fall gets to 2 to 30 s in six seeds."""
-    learner = Learner(world("quick"), seed=0)
-    first = learner.tally()
-    learner.skip(2_000)
-    beginner = learner.task.score(learner.tally() - first).value
+    """In 6 000 s of its own time; how fast depends on luck, so the middle one of five runs."""
+    learner = Learner(world("quick"), seed=0, lanes=5)
+    beginners = learner.skip_tallied(2_000)
     learner.skip(238_000)
-    late = learner.tally()
-    learner.skip(60_000)
-    assert beginner < 3 * RANDOM
-    assert learner.task.score(learner.tally() - late).value > 4 * RANDOM
+    late = learner.skip_tallied(60_000)
+    assert max(learner.task.score(t).value for t in beginners) < 3 * RANDOM
+    assert np.median([learner.task.score(t).value for t in late]) > 4 * RANDOM
 
 
 def test_without_learning_it_falls_as_under_fair_coins():
