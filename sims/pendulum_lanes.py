@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hebbviz.chance import NEXT_EPISODE, four_uniforms
-from hebbviz.compiled import called, row
+from hebbviz.compiled import called, inlined, row
 from hebbviz.engine import WORLD
 from hebbviz.task import CompiledTask
 from sims.pendulum import SEEN, Pendulum
@@ -24,10 +24,8 @@ Array = NDArray[np.float64]
 _thrust, _mu, _dt, _limit = PLANT.thrust, PLANT.friction, PLANT.time_step, FARTHEST
 _THRUST_X, _THRUST_Y = 10, 11
 
-_inlined = njit(forceinline=True, error_model="numpy")
 
-
-@_inlined
+@inlined
 def _move(world, width, action):  # type: ignore[no-untyped-def]
     """All lanes through a time step as if there were no walls; several at once."""
     x, y, vx, vy = (
@@ -56,7 +54,7 @@ def _bounce(state):  # type: ignore[no-untyped-def]
             rebound(state, axis, -1.0 if state[axis] > 0.0 else 1.0)
 
 
-@_inlined
+@inlined
 def _step(world, width, action):  # type: ignore[no-untyped-def]
     _move(world, width, action)
     x, y = row(world, 0, width), row(world, 1, width)

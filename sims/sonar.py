@@ -19,7 +19,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hebbviz.chance import WORLD, Draws, four_uniforms
-from hebbviz.compiled import called, row
+from hebbviz.compiled import called, inlined, row
 from hebbviz.engine import WORLD as WORLD_SIGNATURE
 from hebbviz.layout import WIDTHS
 from hebbviz.learner import Learner
@@ -69,7 +69,7 @@ def _shuffle(world, lane, seed, number, step):  # type: ignore[no-untyped-def]
         world[_ORDER + other, lane] = kept
 
 
-@njit(forceinline=True, error_model="numpy")
+@inlined
 def _judge(world, width, data, action, reward):  # type: ignore[no-untyped-def]
     """Whether the predictions of all lanes are right, and a tick; True where a pattern has been
     seen long enough.
