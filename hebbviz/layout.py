@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from llvmlite.binding import get_host_cpu_features
 from numpy.typing import NDArray
 
 from hebbviz.topology import Topology
@@ -26,8 +27,8 @@ Rows = NDArray[np.intp]
 WIDTHS = (1, 16, 64)
 """Lanes of a tile, for each of which the engine is compiled; lanes that nobody asked for idle."""
 
-VECTOR = 8
-"""Lanes that a common processor computes at once in float32."""
+VECTOR = 16 if get_host_cpu_features().get("avx512f") else 8
+"""Lanes that the processor computes at once in float32."""
 
 SECTIONS = (
     "activity",  # u of inputs, then neurons: value; (units, lanes)
