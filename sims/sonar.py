@@ -108,14 +108,19 @@ def _turn(world, lane, data, seed, number, step):  # type: ignore[no-untyped-def
     world[_LABEL, lane] = data[ENERGIES, np.int64(world[_PATTERN, lane])]
 
 
-@njit(cache=True, error_model="numpy")
-def _observation(world, lane, data, observation):  # type: ignore[no-untyped-def]
-    pattern = np.int64(world[_PATTERN, lane])
+@inlined
+def _show(world, width, data, observation):  # type: ignore[no-untyped-def]
+    """What all lanes see of their patterns; for one that shows the same pattern, what it saw."""
+    pattern = row(world, _PATTERN, width)
     for j in range(ENERGIES):
-        observation[j, lane] = data[j, pattern]
+        energy, seen = row(data, j, PATTERNS), row(observation, j, width)
+        for lane in range(width):
+            seen[lane] = energy[np.int64(pattern[lane])]
     if world.shape[0] > _MEAN:
         for j in range(ENERGIES):
-            observation[j, lane] -= world[_MEAN + j, lane]
+            mean, seen = row(world, _MEAN + j, width), row(observation, j, width)
+            for lane in range(width):
+                seen[lane] -= mean[lane]
 
 
 @called(WORLD_SIGNATURE)
@@ -130,7 +135,7 @@ def answer(world, action, data, keys, step, observation, reward, ended):  # type
         for lane in range(lanes):
             if world[_TICK, lane] >= data[_HOLD, 0]:
                 _turn(world, lane, data, keys[0, lane], keys[1, lane], step)
-                _observation(world, lane, data, observation)
+        _show(world, lanes, data, observation)
     return 1 if is_over else 0
 
 
