@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -144,6 +144,21 @@ class Topology:
     def is_held(self, projection: Projection) -> bool:
         """Whether the presynaptic values come from the world (held input, see `rule`)."""
         return self.group(projection.pre).is_input
+
+    def with_inputs(self, size: int) -> Topology:
+        """The same network for so many input units.
+
+        Raises ValueError if several groups would have to share them.
+        """
+        if size == self.inputs:
+            return self
+        if len(self.input_groups) != 1:
+            raise ValueError(
+                f"{size} inputs cannot be shared among {len(self.input_groups)} groups"
+            )
+        return replace(
+            self, groups=tuple(replace(g, size=size) if g.is_input else g for g in self.groups)
+        )
 
     def describe(self) -> str:
         """Sizes in short, as in '8-4-2'."""

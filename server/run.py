@@ -153,8 +153,9 @@ class Run:
         if command.switch is not None:
             task = self.make_task(self.task_name, task.switched(*command.switch))
         fresh = Learner(
-            task, topology=old.topology, beta=old.beta, gamma=old.gamma, rule=old.rule,
-            fall=old.fall, seed=old.seed if command.seed is None else command.seed,
+            task, topology=old.topology.with_inputs(len(task.inputs)), beta=old.beta,
+            gamma=old.gamma, rule=old.rule, fall=old.fall,
+            seed=old.seed if command.seed is None else command.seed,
             lanes=old.lanes if command.lanes is None else command.lanes,
             first_lane=old.first_lane,
         )  # fmt: skip

@@ -36,12 +36,17 @@ HOLD = 1000
 """Steps for which a pattern is shown, unless the preset says otherwise, and in evaluations."""
 
 MINE, ROCK = 1.0, -1.0
-CENTRED = "centred"
+CENTRED, SCALED, CONSTANT = "centred", "scaled", "constant"
+SCALE = 5.0
+"""Times the root of its standard deviation: what a band that is scaled spreads over. Potentials
+are then a few units wide from the first weights on.
+"""
 
 (
     _TICK, _INDEX, _EPOCH, _PATTERN, _LABEL, _PREDICTION, _RIGHT, _LENGTH, _SHUFFLES, _ORDER,
 ) = range(10)  # fmt: skip
 _MEAN = _ORDER + PATTERNS
+_FACTOR = _MEAN + ENERGIES
 _HOLD = ENERGIES + 1
 """Row of `Sonar.data`."""
 
@@ -118,9 +123,10 @@ def _show(world, width, data, observation):  # type: ignore[no-untyped-def]
             seen[lane] = energy[np.int64(pattern[lane])]
     if world.shape[0] > _MEAN:
         for j in range(ENERGIES):
-            mean, seen = row(world, _MEAN + j, width), row(observation, j, width)
+            mean, factor = row(world, _MEAN + j, width), row(world, _FACTOR + j, width)
+            seen = row(observation, j, width)
             for lane in range(width):
-                seen[lane] -= mean[lane]
+                seen[lane] = (seen[lane] - mean[lane]) * factor[lane]
 
 
 @called(WORLD_SIGNATURE)
@@ -142,8 +148,9 @@ def answer(world, action, data, keys, step, observation, reward, ended):  # type
 class Sonar(CompiledTask):
     """State: steps this pattern was shown, place in the epoch, epoch, pattern, its label (±1), the
     prediction, whether it was right, patterns in an epoch, whether epochs are shuffled, then all
-    patterns, the training set first, in the order of this epoch. With centred inputs the mean
-    energies of the training set follow; the network is shown the energies less these.
+    patterns, the training set first, in the order of this epoch. With centred or scaled inputs two
+    numbers for each band follow: the network is shown the energy less the one, times the other.
+    Both are of the training set alone.
     """
 
     name = "sonar"
@@ -163,17 +170,25 @@ class Sonar(CompiledTask):
         "quick": Preset(0.5, 1e-3, "γ ten times the paper's, all else as in the paper"),
         "paper": Preset(0.5, 1e-4, "the paper's β and γ: allow it 2 000 epochs"),
         "best": Preset(
-            0.5, 0.2,
+            0.5, 0.002,
             "a reward baseline, a γ that falls by half in 60 epochs, 128 hidden units, 100 steps a "
             "pattern (1 000 where errors are counted)",
-            {CENTRED: True, "hold": 100}, "baseline:time=200", fall=1.122e6, hidden=(128,),
+            {CENTRED: True, SCALED: True, CONSTANT: True, "hold": 100}, "baseline:time=200",
+            fall=1.122e6, hidden=(128,),
         ),
     }  # fmt: skip
-    switches = (Switch(CENTRED, "inputs less their mean over the training set"),)
+    switches = (
+        Switch(CENTRED, "inputs less their mean over the training set"),
+        Switch(SCALED, "inputs over the root of their standard deviation there, times 5"),
+        Switch(CONSTANT, "an input that is always the same"),
+    )
     answer = answer
 
     def __init__(self, preset: str | None = None) -> None:
         super().__init__(preset)
+        self._scale = SCALE if self.settings[SCALED] else 1.0
+        if self.settings[CONSTANT]:
+            self.inputs = (*type(self).inputs, Input("constant"))
         self._hold_for(self.preset.options.get("hold", HOLD))
 
     def _hold_for(self, steps: int) -> None:
@@ -192,9 +207,13 @@ class Sonar(CompiledTask):
         """A random split into training and test set, and the first order of the former."""
         order = np.argsort(draws(PATTERNS))
         world = _world(order.astype(np.float64), TRAINING, shuffles=True)
-        if not self.settings[CENTRED]:
+        centred, scaled = self.settings[CENTRED], self.settings[SCALED]
+        if not (centred or scaled):
             return world
-        return np.concatenate((world, load()[order[:TRAINING], :ENERGIES].mean(axis=0)))
+        known = load()[order[:TRAINING], :ENERGIES]
+        mean = known.mean(axis=0) if centred else np.zeros(ENERGIES)
+        factor = self._scale / np.sqrt(known.std(axis=0)) if scaled else np.ones(ENERGIES)
+        return np.concatenate((world, mean, factor))
 
     def transition(self, state: Array, action: Array, draws: Callable[[int], Array]) -> Array:
         assert isinstance(draws, Draws)
@@ -205,8 +224,10 @@ class Sonar(CompiledTask):
         return world[:, 0]
 
     def observation(self, state: Array) -> Array:
-        energies = load()[int(state[_PATTERN]), :ENERGIES].copy()
-        return energies - state[_MEAN:] if len(state) > _MEAN else energies
+        seen = load()[int(state[_PATTERN]), :ENERGIES].copy()
+        if len(state) > _MEAN:
+            seen = (seen - state[_MEAN:_FACTOR]) * state[_FACTOR:]
+        return np.append(seen, self._scale) if len(self.inputs) > ENERGIES else seen
 
     def reward(self, state: Array) -> float:
         return float(state[_RIGHT])

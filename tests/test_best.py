@@ -9,14 +9,26 @@ from hebbviz.chance import FIRST_EPISODE, Draws
 from hebbviz.learner import Learner
 from hebbviz.rules.baseline import Baseline
 from sims.loading import make_task
-from sims.sonar import ENERGIES, HOLD, PATTERNS, TRAINING, Sonar, load
+from sims.sonar import ENERGIES, HOLD, PATTERNS, SCALE, TRAINING, Sonar, load
 
 PATTERN, ORDER = 3, 9
 MEAN = ORDER + PATTERNS
+FACTOR = MEAN + ENERGIES
 
 
 def seen_by(learner, lane):
-    return learner.activities[:ENERGIES, lane]
+    return learner.activities[: len(learner.task.inputs), lane]
+
+
+def shown_over_both_sets(task, state):
+    """What the network is shown of all patterns, (208, inputs), the training set first, and their
+    numbers.
+    """
+    patterns, shown = state[ORDER:MEAN].astype(int), []
+    for pattern in patterns:
+        state[PATTERN] = pattern
+        shown.append(task.observation(state))
+    return np.array(shown), patterns
 
 
 @pytest.mark.parametrize("name", ["sonar", "pendulum"])
@@ -32,37 +44,40 @@ def test_the_preset_brings_its_network_rule_and_fall(name):
     assert other.topology.describe().split("-")[1] == "3", "--hidden is stronger"
 
 
-def test_centred_inputs_have_mean_zero_over_the_lanes_own_training_set():
+def test_inputs_are_centred_and_scaled_by_the_lanes_own_training_set():
     task = Sonar("best")
     learner = Learner(task, lanes=3, seed=4)
     for lane in range(3):
-        state = learner.world[:, lane].copy()
-        training, test = (state[ORDER:MEAN].astype(int)[s] for s in (slice(187), slice(187, None)))
-        shown = []
-        for pattern in (*training, *test):
-            state[PATTERN] = pattern
-            shown.append(task.observation(state))
-        np.testing.assert_allclose(np.mean(shown[:TRAINING], axis=0), 0.0, atol=1e-12)
-        assert np.abs(np.mean(shown[TRAINING:], axis=0)).max() > 0.01, "the test set is not used"
-        energies = load()[[*training, *test], :ENERGIES]
-        np.testing.assert_allclose(np.diff(shown, axis=0), np.diff(energies, axis=0), atol=1e-12)
+        shown, patterns = shown_over_both_sets(task, learner.world[:, lane].copy())
+        bands, constant = shown[:, :ENERGIES], shown[:, ENERGIES]
+        assert (constant == SCALE).all()
+        known = load()[patterns[:TRAINING], :ENERGIES]
+        np.testing.assert_allclose(bands[:TRAINING].mean(axis=0), 0.0, atol=1e-12)
+        np.testing.assert_allclose(
+            bands[:TRAINING].var(axis=0), SCALE**2 * known.std(axis=0), rtol=1e-12
+        )
+        assert np.abs(bands[TRAINING:].mean(axis=0)).max() > 0.1, "the test set is not used"
+        energies = load()[patterns, :ENERGIES]
+        along = [np.corrcoef(bands[:, k], energies[:, k])[0, 1] for k in range(ENERGIES)]
+        np.testing.assert_allclose(along, 1.0, rtol=1e-12)
 
 
 def test_the_test_set_cannot_be_told_from_what_the_network_is_shown():
-    """The same split with another test set's energies would have the same mean."""
+    """The same split with another test set's energies would have the same means and factors."""
     state = Sonar("best").restart(Draws(0, 0, 0, FIRST_EPISODE))
-    training = state[ORDER : ORDER + TRAINING].astype(int)
-    np.testing.assert_array_equal(state[MEAN:], load()[training, :ENERGIES].mean(axis=0))
+    known = load()[state[ORDER : ORDER + TRAINING].astype(int), :ENERGIES]
+    np.testing.assert_array_equal(state[MEAN:FACTOR], known.mean(axis=0))
+    np.testing.assert_array_equal(state[FACTOR:], SCALE / np.sqrt(known.std(axis=0)))
 
 
-def test_centred_inputs_follow_the_pattern_as_it_changes_and_in_evaluations():
-    learner = Learner(Sonar("best"), lanes=2, seed=1)
-    hold = learner.task.hold
-    means = learner.world[MEAN:]
+@pytest.mark.parametrize("setting", ["best", "best:scaled=no", "quick:scaled=yes,constant=yes"])
+def test_inputs_follow_the_pattern_as_it_changes_and_in_evaluations(setting):
+    learner = Learner(Sonar(setting), lanes=2, seed=1, hidden=(3,))
+    task, hold = learner.task, learner.task.hold
     for _ in range(4):
         for lane in range(2):
-            energies = load()[int(learner.world[PATTERN, lane]), :ENERGIES]
-            np.testing.assert_array_equal(seen_by(learner, lane), energies - means[:, lane])
+            expected = task.observation(learner.world[:, lane])
+            np.testing.assert_array_equal(seen_by(learner, lane), expected)
         learner.skip(hold)
     assert learner.world[0, 0] == 0, "a pattern lasts `hold` steps"
     before = learner.keyframe()
@@ -78,13 +93,34 @@ def test_other_presets_keep_their_worlds_and_their_hold():
         assert (task.hold, task.epoch) == (HOLD, TRAINING * HOLD)
 
 
-def test_switching_changes_nothing_but_the_inputs():
-    best, raw = Sonar("best"), Sonar("best:centred=no")
+@pytest.mark.parametrize("switch", ["centred", "scaled", "constant"])
+def test_a_switch_changes_nothing_but_its_part_of_the_inputs(switch):
+    best, other = Sonar("best"), Sonar(f"best:{switch}=no")
     for name in ("beta", "gamma", "rule", "fall", "hidden"):
-        assert getattr(best.preset, name) == getattr(raw.preset, name)
-    assert best.hold == raw.hold
-    draws = Draws(5, 2, 0, FIRST_EPISODE)
-    np.testing.assert_array_equal(best.restart(draws)[:MEAN], raw.restart(draws))
+        assert getattr(best.preset, name) == getattr(other.preset, name)
+    assert best.hold == other.hold
+    states = [task.restart(Draws(5, 2, 0, FIRST_EPISODE)) for task in (best, other)]
+    np.testing.assert_array_equal(states[0][:MEAN], states[1][:MEAN])
+    (with_it, _), (without, _) = (
+        shown_over_both_sets(task, state) for task, state in zip((best, other), states, strict=True)
+    )
+    if switch == "constant":
+        np.testing.assert_array_equal(with_it[:, :ENERGIES], without)
+    elif switch == "centred":
+        shift = with_it - without
+        np.testing.assert_allclose(shift, np.broadcast_to(shift[0], shift.shape), atol=1e-12)
+        assert (shift[0, :ENERGIES] < 0).all() and shift[0, ENERGIES] == 0
+    else:
+        np.testing.assert_array_equal(with_it[:, ENERGIES], SCALE)
+        np.testing.assert_array_equal(without[:, ENERGIES], 1.0)
+        factors = with_it[:, :ENERGIES] / without[:, :ENERGIES]
+        np.testing.assert_allclose(factors, np.broadcast_to(factors[0], factors.shape))
+
+
+def test_without_its_switches_best_is_shown_the_energies_themselves():
+    task = Sonar("best:centred=no,scaled=no,constant=no")
+    shown, patterns = shown_over_both_sets(task, task.restart(Draws(5, 2, 0, FIRST_EPISODE)))
+    np.testing.assert_array_equal(shown, load()[patterns, :ENERGIES])
 
 
 @pytest.mark.slow

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.patheffects import withStroke
 
 from hebbviz import __version__
 from server.palette import LIGHT, Rgb
@@ -151,14 +150,6 @@ def mark_end(
     axes.annotate(
         text, (x, y), (5, 0), textcoords="offset points", va="center", color=shade, fontsize=size,
         annotation_clip=False,
-    )  # fmt: skip
-
-
-def label(axes: Axes, x: float, y: float, text: str, shade: Color) -> None:
-    """Words above a line, readable where curves cross them."""
-    axes.text(
-        x, y, text, color=shade, fontsize=SMALL, va="bottom", zorder=6,
-        path_effects=[withStroke(linewidth=2.5, foreground="white", alpha=0.85)],
     )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from server import palette
 from server.experiments import Curves, Plan
 from server.figures.curves import lane_columns, preset_note, setting, words_of
 from server.figures.length import cut
-from server.figures.sheet import INK, SMALL, Sheet, Table, blank, color, label, look, mark_end
+from server.figures.sheet import INK, SMALL, Sheet, Table, blank, color, look, mark_end
 from sims.sonar import Sonar
 
 if TYPE_CHECKING:
@@ -104,6 +104,9 @@ def _draw(plan: Plan, curves: Curves, task: Sonar) -> Figure:
     figure = blank(4.2)
     axes = figure.add_subplot()
     epochs = curves.evaluated_at / task.epoch
+    references = ", ".join(
+        f"{words} {100.0 * BACK_PROPAGATION[name]:g}" for name, (words, _) in _SHOWN.items()
+    )
     for name, (words, shade) in _SHOWN.items():
         percent = 100.0 * curves.figures[name]
         mean, sd = percent.mean(axis=0), percent.std(axis=0)
@@ -111,10 +114,7 @@ def _draw(plan: Plan, curves: Curves, task: Sonar) -> Figure:
                           lw=0)  # fmt: skip
         axes.plot(epochs, mean, color=shade)
         mark_end(axes, epochs[-1], mean[-1], f"{words}\n{mean[-1]:.1f} ± {sd[-1]:.1f} %", shade)
-        reference = 100.0 * BACK_PROPAGATION[name]
-        axes.axhline(reference, color=shade, lw=1.0, ls=(0, (1, 1.6)))
-        words = f"back-propagation, {words}: {reference:g} %"
-        label(axes, epochs[-1] * 0.02, reference + 0.4, words, shade)
+        axes.axhline(100.0 * BACK_PROPAGATION[name], color=shade, lw=1.0, ls=(0, (1, 1.6)))
     axes.set(
         xlim=(0, epochs[-1]), ylim=(0, 55), ylabel="error of a frozen copy, %",
         xlabel=f"epochs of 187 patterns, {task.hold:,} steps each",
@@ -124,7 +124,8 @@ def _draw(plan: Plan, curves: Curves, task: Sonar) -> Figure:
     axes.text(
         0.985, 0.965,
         f"preset {plan.preset}: {words_of(plan)}\n"
-        "back-propagation: Gorman and Sejnowski (1988), 6 hidden units",
+        "dotted: back-propagation, 6 hidden units (Gorman and Sejnowski 1988),\n"
+        f"{references} %",
         transform=axes.transAxes, ha="right", va="top", fontsize=SMALL, color=INK, linespacing=1.4,
         bbox={"fc": "white", "ec": "none", "pad": 2.0},
     )  # fmt: skip
