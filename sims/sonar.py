@@ -38,8 +38,8 @@ HOLD = 1000
 MINE, ROCK = 1.0, -1.0
 CENTRED, SCALED, CONSTANT = "centred", "scaled", "constant"
 SCALE = 5.0
-"""Times the root of its standard deviation: what a band that is scaled spreads over. Potentials
-are then a few units wide from the first weights on.
+"""Of a band that is scaled, the standard deviation is this times the root of what it was; the
+constant input beside scaled bands is this too.
 """
 
 (
@@ -179,7 +179,11 @@ class Sonar(CompiledTask):
     }  # fmt: skip
     switches = (
         Switch(CENTRED, "inputs less their mean over the training set"),
-        Switch(SCALED, "inputs over the root of their standard deviation there, times 5"),
+        Switch(
+            SCALED,
+            f"inputs times {SCALE:g}, divided by the root of their standard deviation over the "
+            "training set",
+        ),
         Switch(CONSTANT, "an input that is always the same"),
     )
     answer = answer
@@ -188,7 +192,7 @@ class Sonar(CompiledTask):
         super().__init__(preset)
         self._scale = SCALE if self.settings[SCALED] else 1.0
         if self.settings[CONSTANT]:
-            self.inputs = (*type(self).inputs, Input("constant"))
+            self.inputs = (*self.inputs, Input("constant"))
         self._hold_for(self.preset.options.get("hold", HOLD))
 
     def _hold_for(self, steps: int) -> None:

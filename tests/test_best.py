@@ -101,7 +101,7 @@ def test_a_switch_changes_nothing_but_its_part_of_the_inputs(switch):
     assert best.hold == other.hold
     states = [task.restart(Draws(5, 2, 0, FIRST_EPISODE)) for task in (best, other)]
     np.testing.assert_array_equal(states[0][:MEAN], states[1][:MEAN])
-    (with_it, _), (without, _) = (
+    (with_it, patterns), (without, _) = (
         shown_over_both_sets(task, state) for task, state in zip((best, other), states, strict=True)
     )
     if switch == "constant":
@@ -113,6 +113,8 @@ def test_a_switch_changes_nothing_but_its_part_of_the_inputs(switch):
     else:
         np.testing.assert_array_equal(with_it[:, ENERGIES], SCALE)
         np.testing.assert_array_equal(without[:, ENERGIES], 1.0)
+        steps = np.diff(load()[patterns, :ENERGIES], axis=0)
+        np.testing.assert_allclose(np.diff(without[:, :ENERGIES], axis=0), steps, atol=1e-12)
         factors = with_it[:, :ENERGIES] / without[:, :ENERGIES]
         np.testing.assert_allclose(factors, np.broadcast_to(factors[0], factors.shape))
 

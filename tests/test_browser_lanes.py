@@ -85,7 +85,8 @@ def test_many_lanes_are_seen_whatever_is_chosen(site: Site, browser: Browser) ->
         box = row(page, "centred").get_by_role("checkbox")
         assert not box.is_checked()
         box.click()
-        eventually(page, lambda: latest(site).task.settings["centred"])
+        only_centred = {"centred": True, "scaled": False, "constant": False}
+        eventually(page, lambda: latest(site).task.settings == only_centred)
         assert latest(site).task.preset_name == "quick:centred=yes"
         eventually(page, lambda: "less their mean" in text_of(page) and box.is_checked())
         row(page, "constant").get_by_role("checkbox").click()
