@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import logging
 import multiprocessing
 import os
 import signal
 import threading
 import time
+import traceback
 from collections.abc import Iterator
 from concurrent.futures import (
     BrokenExecutor,
@@ -163,6 +165,10 @@ class _Cluster:
         try:
             self._client: Any = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError, RuntimeError) as error:  # OSError: a TimeoutError too
+            # The client that failed closes itself when it is collected. Were that left to chance,
+            # it could be while the next one starts, and both would wait for one lock of Dask's.
+            traceback.clear_frames(error.__traceback__)
+            gc.collect()
             raise InputError(
                 f"no Dask scheduler answers at {address}: start one with 'dask scheduler', or "
                 "mend the address"
