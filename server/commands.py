@@ -193,6 +193,9 @@ class Choose:
     preset: str | None = None
     hidden: tuple[int, ...] | None = None
 
+    def __str__(self) -> str:
+        return f"task {self.task}"
+
 
 @dataclass(frozen=True)
 class Undo:

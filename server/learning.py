@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from hebbviz.task import Score, Task
+from hebbviz.task import Measure, Score, Task
 from server import palette, spread, words
 from server.charts import QUIET_EDGES, Chart, Cursor, Points
 from server.history import Curve
@@ -153,15 +154,12 @@ def _spaced(key: str) -> str:
 def _frozen(picture: Picture) -> dict[str, Spread]:
     """What frozen copies of the run did; with one lane the middle is that lane."""
     task, done = picture.task, picture.evaluations
-    times = 100.0 if task.measure.unit == "%" else 1.0
     x = np.array([e.step for e in done], dtype=np.float64)
-    return {
-        _spaced(key): Spread.of(
-            x, times * np.array([e.figures[key] for e in done]).reshape(-1, picture.lanes),
-            task.measure,
-        )
-        for key in task.frozen_figures
-    }  # fmt: skip
+    spreads = {}
+    for key in task.frozen_figures:
+        values = np.array([e.figures[key] for e in done]).reshape(-1, picture.lanes)
+        spreads[_spaced(key)] = Spread.of(x, _in_unit(task.measure, values), task.measure)
+    return spreads
 
 
 def _said(picture: Picture, curve: Curve, all_lanes: Spread | None, *, at_least: bool) -> str:
@@ -181,18 +179,38 @@ def _said(picture: Picture, curve: Curve, all_lanes: Spread | None, *, at_least:
 
 
 def _evaluated(picture: Picture) -> str:
+    """What the latest frozen copy did, in the watched lane, and in the middle of several."""
     if not picture.evaluations:
         return ""
     latest = picture.evaluations[-1]
-    said = [f"{_spaced(k)} **{v[picture.lane]:.3g}**" for k, v in latest.figures.items()]
-    if picture.lanes > 1:
-        middle = np.median if picture.task.measure.logarithmic else np.mean
-        name = spread.names(picture.task.measure)[0]
-        said = [
-            f"{text} ({name} {middle(v):.3g})"
-            for text, v in zip(said, latest.figures.values(), strict=True)
-        ]
+    said = [_figure(picture, key, values) for key, values in latest.figures.items()]
     return f"Frozen copy at step {words.count(latest.step)}: {', '.join(said)}."
+
+
+def _figure(picture: Picture, key: str, values: Array) -> str:
+    """One figure, (lanes,), in words: of the watched lane, and of the middle of several."""
+    measure = _measure_of(picture.task, key)
+    values = _in_unit(measure, values)
+    said = f"{measure.name} **{words.score(Score(float(values[picture.lane])), measure)}**"
+    if picture.lanes == 1:
+        return said
+    middle = np.median(values) if measure.logarithmic else np.mean(values)
+    name, _ = spread.names(measure)
+    return f"{said} ({name} {words.score(Score(float(middle)), measure)})"
+
+
+def _measure_of(task: Task, key: str) -> Measure:
+    """The name and unit of a figure of `Task.evaluate`: none is known but of those on the curve."""
+    if key == task.measure.key:
+        return task.measure
+    if key in task.frozen_figures:
+        return replace(task.measure, name=_spaced(key), key=key)
+    return Measure(_spaced(key), key)
+
+
+def _in_unit(measure: Measure, values: Array) -> Array:
+    """What a frozen copy did, in the unit of the measure: `Task.evaluate` gives fractions for %."""
+    return 100.0 * values if measure.unit == "%" else values
 
 
 def _changes(picture: Picture) -> str:

@@ -45,8 +45,8 @@ class Picture:
 
     `recent` holds every one of the latest steps up to `shown`, as far as they follow on one
     another; `shown_trail` and `live_trail` the latest frames, likewise, so that a view that skips
-    pictures misses nothing. `made_at` is time.monotonic(). `preparing` says what a choice still
-    waits for.
+    pictures misses nothing. `made_at` is time.monotonic(). `preparing` says what a command
+    still waits for.
     """
 
     number: int

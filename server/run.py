@@ -15,7 +15,7 @@ from hebbviz.limits import check_lane
 from hebbviz.moments import Block, Frame
 from hebbviz.rules import make_rule
 from hebbviz.task import Tally, Task
-from server.commands import Change, Choose, Logged, Reset
+from server.commands import Change, Choose, Logged, Reset, SetRule
 from server.history import Curves, History, Totals, usual_window
 from server.recording.thinning import MOST_APART, Plan
 from server.tape import MOST_BYTES, Moment, Tape
@@ -148,41 +148,32 @@ class Run:
         """The same task and network from step 0, with the β, γ and rule that are set, and the
         task's switches, of which the command may set one.
         """
-        old = self.learner
-        task = old.task
-        if command.switch is not None:
-            task = self.make_task(self.task_name, task.switched(*command.switch))
-        fresh = Learner(
-            task, topology=old.topology.with_inputs(len(task.inputs)), beta=old.beta,
-            gamma=old.gamma, rule=old.rule, fall=old.fall,
-            seed=old.seed if command.seed is None else command.seed,
-            lanes=old.lanes if command.lanes is None else command.lanes,
-            first_lane=old.first_lane,
-        )  # fmt: skip
-        fresh.freeze(old.frozen)
-        _look_at_the_same(fresh, old)
+        fresh = self._restarted(command)
+        _look_at_the_same(fresh, self.learner)
         self._remember(str(command))
-        ghost = self.history.curves(Totals.of(old))
+        ghost = self.history.curves(Totals.of(self.learner))
         self._leap("the run was reset")
         self._begin(fresh, self.task_name, ghost if len(ghost.edges) > 1 else self.ghost)
 
     def choose(self, command: Choose) -> None:
         """Another task, preset or network, with the preset's β, γ and rule."""
-        fresh = self.chosen(command)
+        fresh = self._chosen(command)
         _look_at_the_same(fresh, self.learner)
         sizes = "" if command.hidden is None else f", hidden {','.join(map(str, command.hidden))}"
         self._remember(f"choosing {command.task}, {fresh.task.preset_name}{sizes}")
         self._leap("another task or network was chosen")
         self._begin(fresh, command.task, None)
 
-    def chosen(self, command: Choose) -> Learner:
-        """What a choice begins with: as many lanes as there are, but another task begins with one,
-        or as many as its rule needs.
-        """
-        task = self.make_task(command.task, command.preset)
-        least = make_rule(task.preset.rule).least_lanes
-        lanes = max(least, self.learner.lanes if command.task == self.task_name else 1)
-        return Learner(task, hidden=command.hidden, seed=self.learner.seed, lanes=lanes)
+    def foreseen(self, command: Choose | Reset | SetRule) -> Learner:
+        """A learner, at its start, such as the run has after a command that is yet to be obeyed."""
+        match command:
+            case Choose():
+                return self._chosen(command)
+            case Reset():
+                return self._restarted(command)
+        twin = self.learner.twin()
+        command.apply(twin)
+        return twin
 
     def undo(self) -> str | None:
         """Go back to the moment before the last change; says which, or None if there is none."""
@@ -248,6 +239,31 @@ class Run:
             )
         )  # fmt: skip
         del self._undo[: -max(1, min(MOST_UNDOS, MOST_UNDO_BYTES // self.moment_size))]
+
+    def _chosen(self, command: Choose) -> Learner:
+        """What a choice begins with: as many lanes as there are, but another task begins with one,
+        or as many as its rule needs.
+        """
+        task = self.make_task(command.task, command.preset)
+        least = make_rule(task.preset.rule).least_lanes
+        lanes = max(least, self.learner.lanes if command.task == self.task_name else 1)
+        return Learner(task, hidden=command.hidden, seed=self.learner.seed, lanes=lanes)
+
+    def _restarted(self, command: Reset) -> Learner:
+        """What a reset begins with."""
+        old = self.learner
+        task = old.task
+        if command.switch is not None:
+            task = self.make_task(self.task_name, task.switched(*command.switch))
+        fresh = Learner(
+            task, topology=old.topology.with_inputs(len(task.inputs)), beta=old.beta,
+            gamma=old.gamma, rule=old.rule, fall=old.fall,
+            seed=old.seed if command.seed is None else command.seed,
+            lanes=old.lanes if command.lanes is None else command.lanes,
+            first_lane=old.first_lane,
+        )  # fmt: skip
+        fresh.freeze(old.frozen)
+        return fresh
 
     def _begin(self, learner: Learner, task_name: str, ghost: Curves | None) -> None:
         self.learner, self.task_name, self.ghost = learner, task_name, ghost

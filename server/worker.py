@@ -61,7 +61,7 @@ from server.fork import Difference, Fork
 from server.history import Totals
 from server.picture import Other, Past, Picture
 from server.player import Player
-from server.preparing import Preparation
+from server.preparing import Demanding, Preparation
 from server.recording.recordings import Options, Recordings
 from server.run import Run
 from server.stuck import StuckLanes
@@ -260,25 +260,32 @@ class Worker(threading.Thread):
     # Commands
 
     def _obey(self, command: Command) -> None:
-        """Carry it out, in the order of the commands; after a choice that must be compiled first
+        """Carry it out, in the order of the commands; after one that must be compiled for first
         they wait, but for pausing.
         """
         if self._preparing is not None and not isinstance(command, Pause):
             self._waiting.append(command)
-        elif not isinstance(command, Choose) or self._is_prepared(command):
+        elif self._is_prepared(command):
             self._attempt(command)
 
-    def _is_prepared(self, command: Choose) -> bool:
-        """Whether a choice can be carried out at once; if not, it is as soon as it can be."""
-        preparation = Preparation(command, self._run.chosen)
+    def _is_prepared(self, command: Command) -> bool:
+        """Whether a command can be carried out at once; if not, it is as soon as it can be."""
+        if not isinstance(command, Demanding) or self._has_rule(command):
+            return True
+        preparation = Preparation(command, self._run.foreseen)
         preparation.start()
         if preparation.is_ready():
             return True
         self._preparing = preparation
         return False
 
+    def _has_rule(self, command: Demanding) -> bool:
+        """Whether no more than parameters of the rule are to be set."""
+        named = command.rule.partition(":")[0] if isinstance(command, SetRule) else None
+        return named == self._run.learner.rule.name
+
     def _take_up_what_waits(self) -> None:
-        """Carry out the choice that is prepared by now, and what was asked for after it."""
+        """Carry out what is prepared by now, and what was asked for after it."""
         preparation = self._preparing
         if preparation is None or preparation.is_alive():
             return

@@ -12,7 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hebbviz import rules
 from hebbviz.learner import Learner, TaskError
+from hebbviz.rules.baseline import Baseline
+from hebbviz.rules.paper import PAPER
 from hebbviz.task import Input, Output, Preset, Tally, Task
 from server.commands import (
     Choose,
@@ -25,6 +28,7 @@ from server.commands import (
     Reset,
     SetBeta,
     SetGamma,
+    SetRule,
     SetSpeed,
     SetWatch,
     SetWatchSpeed,
@@ -466,6 +470,44 @@ def test_a_choice_that_takes_long_holds_up_nothing_but_the_run() -> None:
         picture = b.until(lambda p: p.task_name == "synapse" and p.beta == 0.25)
         assert (picture.preparing, picture.paused) == (None, True)
         assert picture.undo_words == "β 0.25"
+
+
+def test_so_does_a_switch() -> None:
+    gate = threading.Event()
+
+    def make_in_time(name: str, preset: str | None = None) -> Task:
+        assert preset != "quick:centred=yes" or gate.wait(20.0)
+        return make(name, preset)
+
+    with bench(Run(Learner(make("sonar")), make_in_time)) as b:
+        b.send(Reset(switch=("centred", True)), SetBeta(0.25))
+        picture = b.until(lambda p: p.preparing is not None)
+        assert "for centred on" in (picture.preparing or "")
+        assert (picture.task.settings["centred"], picture.beta) == (False, 0.5)
+        gate.set()
+        picture = b.until(lambda p: p.task.settings["centred"] and p.beta == 0.25)
+        assert picture.preparing is None
+
+
+def test_so_does_a_rule(monkeypatch: pytest.MonkeyPatch) -> None:
+    gate = threading.Event()
+
+    class Slow(Baseline):
+        name = "slow"
+
+        def compiled(self) -> tuple[Any, Any]:
+            assert gate.wait(20.0)
+            return super().compiled()
+
+    monkeypatch.setitem(rules._own, "slow", Slow)
+    with bench(new_run()) as b:
+        b.send(SetRule("slow:time=500"), SetBeta(0.25))
+        picture = b.until(lambda p: p.preparing is not None)
+        assert "for rule slow:time=500" in (picture.preparing or "")
+        assert picture.live.rule == PAPER
+        gate.set()
+        picture = b.until(lambda p: p.live.rule == Slow(500.0) and p.beta == 0.25)
+        assert (picture.preparing, picture.undo_words) == (None, "β 0.25")
 
 
 def test_what_is_asked_wrongly_is_a_notice() -> None:
