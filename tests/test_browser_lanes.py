@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -79,6 +80,7 @@ def test_many_lanes_are_seen_whatever_is_chosen(site: Site, browser: Browser) ->
         worker(site).send(Choose("sonar"))  # a page that has just opened still moves its camera
         eventually(page, lambda: latest(site).task_name == "sonar")
         eventually(page, lambda: latest(site).live.step > 20_000)
+        eventually(page, lambda: re.search(r"training error [\d.]{2,} %", text_of(page)))
         page.wait_for_timeout(1000 * camera.SECONDS)
         assert stands_at_the_overview(site)
 
