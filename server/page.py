@@ -6,6 +6,7 @@ the learner. What a tab clicks or types becomes a command.
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
 from collections import deque
@@ -70,6 +71,7 @@ class Page:
         self._theme = THEMES["dark"]
         self._theme_changed = False
         self._built: tuple[object, ...] | None = None
+        self._stages = itertools.count()
         self._stage: Stage | None = None
         self._other_stage: Stage | None = None
         self._panels: Panels | None = None
@@ -189,7 +191,7 @@ class Page:
         task, topology, theme = picture.task, picture.live.topology, self._theme
         self._names = unit_names(topology, tuple(i.name for i in task.inputs))
         self._looks, self._other_stage = Looks(topology, theme), None
-        self._stage = self._new_stage("/this", picture, self._looks)
+        self._stage = self._new_stage("this", picture, self._looks)
         self._panels = Panels(self._server.gui, self._tabs, picture, theme)
         self._frame_camera(picture)
         another = self._built is None or self._built[:2] != (task, topology)
@@ -199,8 +201,12 @@ class Page:
                 self._look_at(client, camera.OVERVIEW)
         self._built = self._identity(picture)
 
-    def _new_stage(self, root: str, picture: Picture, looks: Looks) -> Stage:
+    def _new_stage(self, name: str, picture: Picture, looks: Looks) -> Stage:
+        """One under a number of its own: a tab lets what is made anew under a name that it knows
+        stand where the former stood.
+        """
         picks = Picks(self._pick_unit, self._pick_synapse)
+        root = f"/{name} {next(self._stages)}"
         return Stage(self._server.scene, root, picture, looks, picks)
 
     def _part_copies(self, picture: Picture) -> None:
@@ -212,7 +218,7 @@ class Page:
             self._other_stage.remove()
             self._other_stage = None
         elif other is not None:
-            self._other_stage = self._new_stage("/other", picture, self._looks.twin())
+            self._other_stage = self._new_stage("other", picture, self._looks.twin())
             self._other_stage.move(half_apart(picture))
             self._other_stage.name(f"other: {other.words}")
         stage.move(-half_apart(picture) if other is not None else 0.0)

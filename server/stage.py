@@ -41,24 +41,20 @@ class Picks:
 
 
 class Stage:
-    """Draws one copy's frames under the scene's `root`, `aside` of the middle."""
+    """Draws one copy's frames under the scene's `root`, in the middle until it is moved."""
 
     def __init__(
-        self, scene: viser.SceneApi, root: str, picture: Picture, looks: Looks, picks: Picks,
-        *, aside: float = 0.0,
-    ) -> None:  # fmt: skip
+        self, scene: viser.SceneApi, root: str, picture: Picture, looks: Looks, picks: Picks
+    ) -> None:
         self._scene, self._root, self.looks, self._picks = scene, root, looks, picks
-        self._task, self._aside, self._title = picture.task, aside, ""
+        self._task, self._aside, self._title = picture.task, 0.0, ""
         self._names = unit_names(looks.topology, tuple(i.name for i in picture.task.inputs))
         self._pulse = Pulse(looks.topology.synapses)
         self._build_network(largest_synapses(picture.live.weight))
-        self._world = WorldScene(
-            scene, picture.task, looks.theme, root=f"{root}/world", offset=(aside, 0.0, 0.0)
-        )
+        self._world = WorldScene(scene, picture.task, looks.theme, root=f"{root}/world")
 
     def remove(self) -> None:
-        self._network.remove()
-        self._world.remove()
+        self._scene.remove_by_name(self._root)
 
     def move(self, aside: float) -> None:
         """Stand that far to the right of the middle."""

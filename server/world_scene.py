@@ -25,13 +25,10 @@ LEAP = 0.4
 class WorldScene:
     """Draws the props of a task, those of one shape in one batch."""
 
-    def __init__(
-        self, scene: viser.SceneApi, task: Task, theme: Theme, *, root: str,
-        offset: tuple[float, float, float],
-    ) -> None:  # fmt: skip
+    def __init__(self, scene: viser.SceneApi, task: Task, theme: Theme, *, root: str) -> None:
         self._scene, self._props = scene, tuple(task.props)
         self._root = root
-        self._frame = scene.add_frame(root, show_axes=False, position=offset)
+        self._frame = scene.add_frame(root, show_axes=False)
         self._of_shape: dict[str, list[int]] = {}
         for k, prop in enumerate(self._props):
             self._of_shape.setdefault(prop.shape, []).append(k)
@@ -42,9 +39,6 @@ class WorldScene:
         self._trails = {
             k: _Trail(scene, root, prop, theme) for k, prop in enumerate(self._props) if prop.trail
         }
-
-    def remove(self) -> None:
-        self._scene.remove_by_name(self._root)
 
     def move(self, offset: tuple[float, float, float]) -> None:
         self._frame.position = offset

@@ -17,6 +17,7 @@ from hebbviz.learner import Learner
 from server import camera
 from server.app import Site
 from server.commands import Choose, Pause, Reset
+from server.look import NETWORK_ALONE, NETWORK_OVER_WORLD
 from server.page import THEME_SECONDS
 from server.picture import Picture
 from server.worker import Worker
@@ -29,6 +30,9 @@ pytestmark = [
 AXES = """() => Object.values(window.__viserTestpoints.uplots).map(p => p.chart).map(c =>
   [c.root.querySelector('.u-title').textContent, c.scales.x.min, c.scales.x.max,
    c.data[0][0], c.data[0].at(-1)])"""
+NETWORKS = """() => Object.entries(window.__viserMutable.nodeRefFromName)
+  .filter(([name, node]) => name.endsWith('/network') && node)
+  .map(([_, node]) => node.position.toArray())"""
 EARLIER = """() => Object.values(window.__viserTestpoints.uplots).map(p => p.chart)
   .filter(c => c.series.some(s => s.label === 'earlier run'))
   .map(c => [...c.data[c.series.findIndex(s => s.label === 'earlier run')]]
@@ -64,6 +68,12 @@ def stands_at_the_overview(site: Site) -> bool:
     return camera._stands_at(client, camera._pose(client, camera.OVERVIEW, latest(site)))
 
 
+def network_stands_at(page: Page) -> list[float]:
+    """Where the only network in the scene stands."""
+    places: list[list[float]] = page.evaluate(NETWORKS)
+    return places[0] if len(places) == 1 else []
+
+
 def axes_fit(page: Page) -> bool:
     """Whether every chart's axis of steps is the one of what it shows."""
     charts: list[Any] = page.evaluate(AXES)
@@ -77,12 +87,14 @@ def axes_fit(page: Page) -> bool:
 
 def test_many_lanes_are_seen_whatever_is_chosen(site: Site, browser: Browser) -> None:
     with tab_at(browser, site.address, width=1100, height=640) as page:
+        eventually(page, lambda: network_stands_at(page) == list(NETWORK_OVER_WORLD))
         worker(site).send(Choose("sonar"))  # a page that has just opened still moves its camera
         eventually(page, lambda: latest(site).task_name == "sonar")
         eventually(page, lambda: latest(site).live.step > 20_000)
         eventually(page, lambda: re.search(r"training error [\d.]{2,} %", text_of(page)))
         page.wait_for_timeout(1000 * camera.SECONDS)
         assert stands_at_the_overview(site)
+        assert network_stands_at(page) == list(NETWORK_ALONE)
 
         box = row(page, "centred").get_by_role("checkbox")
         assert not box.is_checked()

@@ -155,7 +155,7 @@ def go_to(page: Page, live: Live, step: int) -> None:
 def networks(page: Page) -> set[str]:
     """Roots of the networks that are in the scene."""
     nodes = page.evaluate("Object.keys(window.__viserSceneTree.getState())")
-    return {m[1] for n in nodes if (m := re.fullmatch(r"/(\w+)/network/neurons", n))}
+    return {m[1] for n in nodes if (m := re.fullmatch(r"/(\w+) \d+/network/neurons", n))}
 
 
 # Rewinding a live run
