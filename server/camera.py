@@ -67,13 +67,19 @@ class Cameras:
         told = self._told.get(client.client_id)
         if told is None:
             return
-        aspect = client.camera.aspect
+        aspect = aspect_of(client)
         if time.monotonic() > told.until:
             del self._told[client.client_id]
         elif _stands_at(client, _pose(client, told.view, picture)):
             told.aspect = aspect
         elif told.aspect != aspect or _stands_at(client, view_of(OVERVIEW, picture)):
             look_at(client, told.view, picture)
+
+
+def aspect_of(client: viser.ClientHandle) -> float:
+    """Width by height of a tab's window; one that is hidden, and has no size, counts as whole."""
+    width, height = client.camera.image_width, client.camera.image_height
+    return width / height if width and height else WHOLE_ASPECT
 
 
 def look_at(client: viser.ClientHandle, view: str, picture: Picture) -> None:
@@ -87,9 +93,10 @@ def _pose(client: viser.ClientHandle, view: str, picture: Picture) -> tuple[Arra
     """Where one tab's camera is to stand, and what it is to look at."""
     position, target = (np.array(p) for p in view_of(view, picture))
     wide = WHOLE_ASPECT if picture.other is None else _wide_enough(client.camera.fov, picture)
-    back = float(np.clip(wide / client.camera.aspect, 1.0, FURTHEST))
+    aspect = aspect_of(client)
+    back = float(np.clip(wide / aspect, 1.0, FURTHEST))
     away = back * (position - target)
-    if client.camera.aspect <= WITH_SHEET:  # the middle of what is above the sheet
+    if aspect <= WITH_SHEET:  # the middle of what is above the sheet
         away = FURTHER_WITH_SHEET * away
         height = 2.0 * np.linalg.norm(away) * np.tan(client.camera.fov / 2)
         target = target - (0.0, 0.0, 0.4 * SHEET * height)

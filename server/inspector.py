@@ -65,20 +65,21 @@ class Inspector:
 
     @property
     def probes(self) -> tuple[int, ...]:
-        return () if self.synapse is None else (self.synapse,)
+        synapse = self.synapse
+        return () if synapse is None else (synapse,)
 
     def draw(self, picture: Picture) -> None:
         """Show the numbers and the chart; a few times a second is enough."""
-        frame = picture.shown
-        if self.synapse is None:
+        frame, synapse = picture.shown, self.synapse  # a hand may pick another meanwhile
+        if synapse is None:
             self._text.content = self._neuron_words(frame)
             return
         frames = moved(picture.shown_trail)
         since = frames[-1].since if frames else frame.since
-        self._text.content = self._synapse_words(frame, since, self.synapse)
+        self._text.content = self._synapse_words(frame, since, synapse)
         if len(frames) > 1:
             x = np.array([f.step for f in frames], dtype=np.float64)
-            z, low, high, w = np.array([_values(f, self.synapse) for f in frames]).T
+            z, low, high, w = np.array([_values(f, synapse) for f in frames]).T
             curves = {"z": z, "least z": low, "greatest z": high, "w": w}
             marks = [float(c.step) for c in picture.changes]
             self._chart.draw({name: (x, y) for name, y in curves.items()}, marks)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import threading
 import time
+import traceback
 from collections import deque
 from typing import Any
 
@@ -34,9 +35,12 @@ TEXT_SECONDS = 0.2
 COLUMN = 348
 """Width of the panels with the charts."""
 NOTICE_SECONDS = 6.0
+FAILED_SECONDS = 0.2
+"""What fails to be drawn, picture after picture, must not take the machine."""
 THEME_SECONDS = (0.6, 2.0, 6.0)
 """A page takes a while to change its theme, and charts that are made meanwhile lose their axes: all
-is made anew first, and after that the charts, for pages that took longer."""
+is made anew once the first of these is over, and the charts after each of the others, for pages
+that took longer."""
 
 GONE = """<style>
 .gone { display: none; margin: 0 0.75em 0.5em; padding: 0.5em 0.75em; border-radius: 4px;
@@ -77,6 +81,8 @@ class Page:
         self._panels: Panels | None = None
         self._cameras = camera.Cameras()
         self._text_at = 0.0
+        self._failed: str | None = None
+        self._theme_at = 0.0
         self._renew_at: list[float] = []
         self._drawn_at: deque[float] = deque(maxlen=60)
         self._probes: tuple[int, ...] = ()
@@ -97,7 +103,7 @@ class Page:
             fresh = worker.wait_for(picture.number, timeout=0.25)
             if fresh is not None:
                 picture = fresh
-                self._draw(picture)
+                self._try_to_draw(picture)
             self._say_notices()
 
     def close(self) -> None:
@@ -243,7 +249,7 @@ class Page:
         self._connected(client)
         if len(self._server.get_clients()) == 1 and self._worker is not None:
             self._worker.send(ShowBeginning())
-        if client.camera.aspect < camera.WHOLE_ASPECT:
+        if camera.aspect_of(client) < camera.WHOLE_ASPECT:
             client.gui.main_panel.minimize()
         self._look_at(client, camera.OVERVIEW)
 
@@ -252,6 +258,8 @@ class Page:
             old = self._inspectors.pop(client.client_id, None)
             if old is not None:
                 old.remove()
+            if client.client_id not in self._server.get_clients():
+                return  # it has left already
             picture = self._worker.latest if self._worker is not None else None
             if picture is not None and picture.live.topology == self._looks.topology:
                 self._inspectors[client.client_id] = Inspector(
@@ -275,11 +283,25 @@ class Page:
 
     # Drawing
 
+    def _try_to_draw(self, picture: Picture) -> None:
+        """What cannot be drawn, such as a pose that a task of the user's own gets wrong, is said
+        once, and the run goes on.
+        """
+        try:
+            self._draw(picture)
+        except Exception as error:
+            said = f"the page cannot be drawn: {type(error).__name__}: {error}"
+            if said != self._failed:
+                traceback.print_exc()
+                self.notify(said)
+            self._failed = said
+            time.sleep(FAILED_SECONDS)
+
     def _draw(self, picture: Picture) -> None:
         with self._lock:
             if self._theme_changed:
                 self._set_theme()
-                self._renew_at = [time.monotonic() + s for s in THEME_SECONDS]
+                self._theme_at, *self._renew_at = (time.monotonic() + s for s in THEME_SECONDS)
             self._renew(picture)
             if picture.live.topology != self._looks.topology:
                 return
@@ -294,13 +316,12 @@ class Page:
 
     def _renew(self, picture: Picture) -> None:
         """Make anew what belongs to another task, network or theme, once the theme is there."""
-        due = bool(self._renew_at) and time.monotonic() > self._renew_at[0]
-        if due:
-            self._renew_at.pop(0)
+        now = time.monotonic()
         if self._identity(picture) != self._built:
-            if due or not self._renew_at:
+            if now > self._theme_at:
                 self._rebuild(picture)
-        elif due and self._panels is not None:
+        elif self._renew_at and now > self._renew_at[0] and self._panels is not None:
+            self._renew_at.pop(0)
             self._panels.renew()
             for inspector in self._inspectors.values():
                 inspector.renew()

@@ -1,0 +1,97 @@
+"""The page goes on, whatever tabs send and tasks do. No browser: a client that only speaks."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from raw_client import CAMERA, RawClient, wait_until
+
+from hebbviz.learner import Learner
+from hebbviz.task import Input, Output, Pose, Preset, Task
+from server import camera
+from server.app import Site
+from sims.loading import make_task
+
+if TYPE_CHECKING:
+    from server.picture import Picture
+
+
+class OutOfSight(Task):
+    """A world whose scene fails."""
+
+    name = "out of sight"
+    inputs = (Input("one"),)
+    outputs = (Output("a", "fires", "is silent"),)
+    presets = {"only": Preset(0.5, 0.1, "a test")}
+
+    def restart(self, draws: Any) -> Any:
+        return np.zeros(1)
+
+    def transition(self, state: Any, action: Any, draws: Any) -> Any:
+        return state
+
+    def observation(self, state: Any) -> Any:
+        return np.ones(1)
+
+    def reward(self, state: Any) -> float:
+        return 0.0
+
+    def pose(self, state: Any) -> Pose:
+        raise IndexError("no scene")
+
+
+@contextlib.contextmanager
+def running(task: Task) -> Iterator[Site]:
+    site = Site(Learner(task, seed=0), host="127.0.0.1", port=0, speed=None, task_name=None)
+    stop = threading.Event()
+    thread = threading.Thread(target=lambda: site.run(stop, open_browser=False), daemon=True)
+    thread.start()
+    try:
+        wait_until(lambda: site._worker is not None and site._worker.latest is not None, 60.0)
+        yield site
+        assert thread.is_alive(), "the program goes on"
+    finally:
+        stop.set()
+        thread.join(10.0)
+
+
+def latest(site: Site) -> Picture:
+    assert site._worker is not None and site._worker.latest is not None
+    return site._worker.latest
+
+
+def goes_on(site: Site, client: RawClient) -> None:
+    """Steps are made, and the tab is told of what is drawn."""
+    step, frames = latest(site).live.step, client.frames
+    client.wait(lambda: latest(site).live.step > step and client.frames > frames + 20)
+
+
+@pytest.mark.parametrize("size", [(0, 0), (0, 600), (800, 0)], ids=str)
+def test_a_window_without_a_size_is_nothing_to_fail_by(size: tuple[int, int]) -> None:
+    width, height = size
+    with running(make_task("pendulum")) as site, RawClient(site._server.get_port()) as client:
+        client.send(CAMERA | {"image_width": width, "image_height": height})
+        tabs = site._server.get_clients
+        client.wait(lambda: [c.camera.image_width for c in tabs().values()] == [width])
+        assert camera.aspect_of(*tabs().values()) == camera.WHOLE_ASPECT
+        goes_on(site, client)
+
+
+def test_what_cannot_be_drawn_is_said_and_the_run_goes_on(capfd: Any) -> None:
+    said: list[str] = []
+
+    def times() -> int:
+        said.append(capfd.readouterr().err)
+        return "".join(said).count("IndexError: no scene")
+
+    with running(OutOfSight()) as site:
+        wait_until(times)
+        number, step = latest(site).number, latest(site).live.step
+        wait_until(lambda: latest(site).number > number + 40)
+        assert latest(site).live.step > step
+    assert times() == 1
