@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.learner import Learner, TaskError
+from hebbviz.learner import Learner
 from hebbviz.task import CompiledTask
 from server.run import MakeTask
 
@@ -66,15 +66,14 @@ class Evaluator:
             return tuple(self._done)
 
     def _evaluate(self, copy: Learner, run: object) -> None:
-        step, began = copy.step, time.monotonic()
+        step, began, figures = copy.step, time.monotonic(), {}
         try:
             figures = {
                 name: np.array(values, dtype=np.float64).reshape(copy.lanes)
                 for name, values in copy.task.evaluate(copy).items()
             }
-        except (TaskError, ValueError) as error:
-            self._notice(f"the evaluation of a frozen copy failed: {error}")
-            figures = {}
+        except Exception as error:  # of a task of the user's own, say
+            self._notice(f"the evaluation of a frozen copy failed: {type(error).__name__}: {error}")
         self._ended_at = time.monotonic()
         self._lasted = self._ended_at - began
         with self._lock:

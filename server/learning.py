@@ -158,7 +158,7 @@ def _frozen(picture: Picture) -> dict[str, Spread]:
     spreads = {}
     for key in task.frozen_figures:
         values = np.array([e.figures[key] for e in done]).reshape(-1, picture.lanes)
-        spreads[_spaced(key)] = Spread.of(x, _in_unit(task.measure, values), task.measure)
+        spreads[_spaced(key)] = Spread.of(x, _in_unit(task, key, values), task.measure)
     return spreads
 
 
@@ -190,7 +190,7 @@ def _evaluated(picture: Picture) -> str:
 def _figure(picture: Picture, key: str, values: Array) -> str:
     """One figure, (lanes,), in words: of the watched lane, and of the middle of several."""
     measure = _measure_of(picture.task, key)
-    values = _in_unit(measure, values)
+    values = _in_unit(picture.task, key, values)
     said = f"{measure.name} **{words.score(Score(float(values[picture.lane])), measure)}**"
     if picture.lanes == 1:
         return said
@@ -208,9 +208,10 @@ def _measure_of(task: Task, key: str) -> Measure:
     return Measure(_spaced(key), key)
 
 
-def _in_unit(measure: Measure, values: Array) -> Array:
-    """What a frozen copy did, in the unit of the measure: `Task.evaluate` gives fractions for %."""
-    return 100.0 * values if measure.unit == "%" else values
+def _in_unit(task: Task, key: str, values: Array) -> Array:
+    """What a frozen copy did, in % where `Task.evaluate` gives fractions of it."""
+    is_fraction = key in task.frozen_figures and key != task.measure.key
+    return 100.0 * values if is_fraction and task.measure.unit == "%" else values
 
 
 def _changes(picture: Picture) -> str:

@@ -76,6 +76,7 @@ class Take(threading.Thread):
         self._told = self._written = self._flushed = 0
         self._ratio = 1.0
         self._began, self._looked_at = now, 0.0
+        self._ended: float | None = None
         self._step, self._kept, self._dropped = header.step, 0, 0
         self._step_size = _step_size(task, header)
         self._weights_size = 16 * header.topology.synapses + 600
@@ -182,6 +183,7 @@ class Take(threading.Thread):
         self.keyframe(moment)
         self.parameters(learner)
         self._tell(lambda w: w.end(moment.step, words), 400, must=True)
+        self._ended = time.monotonic()
         self._queue.put(None)
 
     def check_end(self) -> None:
@@ -197,8 +199,9 @@ class Take(threading.Thread):
     @property
     def status(self) -> Status:
         steps = self._step - self._header.step
+        seconds = (self._ended or time.monotonic()) - self._began
         return Status(
-            self._target.words, self._target.size(), time.monotonic() - self._began, steps,
+            self._target.words, self._target.size(), seconds, steps,
             self._kept, self._plan.every, self._dropped, self._header.thinning, self.error,
         )  # fmt: skip
 
@@ -265,6 +268,7 @@ class Take(threading.Thread):
     def _fail(self, why: str) -> None:
         if self.error is None:
             self.error = why
+            self._ended = time.monotonic()
             self._notice(f"recording into {self._target.words} has stopped, the run goes on: {why}")
 
 
