@@ -294,16 +294,7 @@ class BackToNow:
 
 @dataclass(frozen=True)
 class TakeOver:
-    """Go on live from the step that is shown, with another β or γ if given."""
-
-    beta: float | None = None
-    gamma: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.beta is not None:
-            check_beta(self.beta)
-        if self.gamma is not None:
-            check_gamma(self.gamma)
+    """Go on live from the step that is shown."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Two copies of a learner from one moment, side by side, that differ in one thing.
 
-The one is the run itself, which goes on. The other is told how many steps the run made, and makes
-as many; it draws the same numbers, so what they differ in is all that sets them apart.
+The one is the run itself, which goes on. The other is told how far the run is, and goes there too;
+it draws the same numbers, so what they differ in is all that sets them apart.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from hebbviz.chance import LARGEST_SEED
 from hebbviz.learner import Learner
 from hebbviz.limits import check_beta, check_gamma
-from hebbviz.moments import Block, Frame
-from server.commands import Change, SetBeta, SetGamma
+from hebbviz.moments import Frame
+from server.commands import Change, Logged, SetBeta, SetGamma
 from server.history import Curve, Totals
 from server.run import Run
 
@@ -55,23 +55,30 @@ class Fork:
         self.learner = run.learner.twin()
         self.learner.restore(run.learner.keyframe())
         self.history = run.history.copy()
+        self.log = list(run.log)
         self._donor = _donor(run) if difference.kind == OTHER_REWARD else None
+        self._differs: Change | None = None
         if difference.kind in (BETA, NO_MEMORY):
-            self.learner.set_beta(difference.value or 0.0)
+            self._differs = SetBeta(difference.value or 0.0)
         if difference.kind == GAMMA:
-            self.learner.set_gamma(difference.value or 0.0)
+            self._differs = SetGamma(difference.value or 0.0)
+        if self._differs is not None:
+            self._make(self._differs)
 
-    def follow(self, block: Block) -> None:
-        """Make as many steps as the run has just made."""
-        self.learner.advance(len(block.fired), reward=self._reward(len(block.fired)))
+    def follow(self, step: int) -> None:
+        """Go on to the step that the run has come to. Raises TaskError if the task fails here."""
+        steps = step - self.learner.step
+        self.learner.advance(steps, reward=self._reward(steps))
         self.history.add(Totals.of(self.learner))
 
     def change(self, change: Change) -> None:
         """What is changed in the run is changed here too, but for that in which they differ."""
-        kind = self.difference.kind
-        differs = {BETA: SetBeta, NO_MEMORY: SetBeta, GAMMA: SetGamma}.get(kind)
-        if differs is None or not isinstance(change, differs):
-            change.apply(self.learner)
+        if type(change) is not type(self._differs):
+            self._make(change)
+
+    def _make(self, change: Change) -> None:
+        change.apply(self.learner)
+        self.log.append(Logged(self.learner.step, change))
 
     def look_at(self, lane: int) -> None:
         """Show another lane."""

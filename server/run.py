@@ -6,7 +6,7 @@ be made again. Followers are told everything, and may have the run's stretches c
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -22,7 +22,7 @@ from server.tape import MOST_BYTES, Moment, Tape
 
 MOST_UNDOS = 100
 MOST_UNDO_BYTES = 256_000_000
-"""Of the moments to go back to; with many lanes there are fewer of them."""
+"""Of the moments to go back to and the tapes of former runs; with many lanes there are fewer."""
 
 MakeTask = Callable[[str, str | None], Task]
 
@@ -148,7 +148,10 @@ class Run:
         """The same task and network from step 0, with the β, γ and rule that are set, and the
         task's switches, of which the command may set one.
         """
-        fresh = self._restarted(command)
+        task = self.learner.task
+        if command.switch is not None:
+            task = self.make_task(self.task_name, task.switched(*command.switch))
+        fresh = self._restarted(command, task)
         _look_at_the_same(fresh, self.learner)
         self._remember(str(command))
         ghost = self.history.curves(Totals.of(self.learner))
@@ -165,13 +168,19 @@ class Run:
         self._begin(fresh, command.task, None)
 
     def foreseen(self, command: Choose | Reset | SetRule) -> Learner:
-        """A learner, at its start, such as the run has after a command that is yet to be obeyed."""
-        match command:
-            case Choose():
-                return self._chosen(command)
-            case Reset():
-                return self._restarted(command)
-        twin = self.learner.twin()
+        """A learner, at its start, such as the run has after a command that is yet to be obeyed;
+        with a task of its own, so that another thread may step it.
+        """
+        if isinstance(command, Choose):
+            return self._chosen(command)
+        task = self.learner.task
+        switch = command.switch if isinstance(command, Reset) else None
+        task = self.make_task(
+            self.task_name, task.preset_name if switch is None else task.switched(*switch)
+        )
+        if isinstance(command, Reset):
+            return self._restarted(command, task)
+        twin = self.learner.twin(task)
         command.apply(twin)
         return twin
 
@@ -219,12 +228,11 @@ class Run:
         """Make the run again from a moment of it, with no change that came after `until`."""
         return Replay(self, moment, until)
 
-    def become(self, learner: Learner, history: History, words: str) -> None:
+    def become(self, learner: Learner, history: History, log: Sequence[Logged], words: str) -> None:
         """Go on with another learner of the same making; can be undone."""
         self._remember(words)
         self._leap(words)
-        self.learner, self.history = learner, history
-        self.log = list(self.log)
+        self.learner, self.history, self.log = learner, history, list(log)
         self.tape, self.stored = _new_tape(learner, len(self.log)), None
 
     @property
@@ -238,7 +246,16 @@ class Run:
                 self.tape, self.stored, self.ghost, words,
             )
         )  # fmt: skip
-        del self._undo[: -max(1, min(MOST_UNDOS, MOST_UNDO_BYTES // self.moment_size))]
+        while len(self._undo) > 1 and self._remembers_too_much():
+            del self._undo[0]
+
+    def _remembers_too_much(self) -> bool:
+        """Whether there are too many points to go back to, or they with their tapes are too large;
+        the tape that is being written is not theirs.
+        """
+        tapes = {id(p.tape): p.tape.size for p in self._undo if p.tape is not self.tape}
+        size = sum(p.moment.size for p in self._undo) + sum(tapes.values())
+        return len(self._undo) > MOST_UNDOS or size > MOST_UNDO_BYTES
 
     def _chosen(self, command: Choose) -> Learner:
         """What a choice begins with: as many lanes as there are, but another task begins with one,
@@ -249,12 +266,9 @@ class Run:
         lanes = max(least, self.learner.lanes if command.task == self.task_name else 1)
         return Learner(task, hidden=command.hidden, seed=self.learner.seed, lanes=lanes)
 
-    def _restarted(self, command: Reset) -> Learner:
+    def _restarted(self, command: Reset, task: Task) -> Learner:
         """What a reset begins with."""
         old = self.learner
-        task = old.task
-        if command.switch is not None:
-            task = self.make_task(self.task_name, task.switched(*command.switch))
         fresh = Learner(
             task, topology=old.topology.with_inputs(len(task.inputs)), beta=old.beta,
             gamma=old.gamma, rule=old.rule, fall=old.fall,

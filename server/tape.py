@@ -65,7 +65,7 @@ class Tape:
             self._moments.pop()  # it was there as the last one only
         self._moments.append(moment)
         self._after_kept = (self._after_kept + 1) % self._every
-        if self._most is not None and len(self._moments) * moment.size > self._most:
+        if self._most is not None and self.size > self._most:
             self._moments = [*self._moments[:-1:2], moment]
             self._every, self._after_kept = 2 * self._every, 1
 
@@ -88,6 +88,11 @@ class Tape:
     def first(self) -> int:
         """The step from which on the run can be made again."""
         return self._moments[0].step if self._moments else 0
+
+    @property
+    def size(self) -> int:
+        """Bytes, about."""
+        return len(self) * self._moments[-1].size if self._moments else 0
 
     def __len__(self) -> int:
         return len(self._moments)

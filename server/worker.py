@@ -11,7 +11,7 @@ import queue
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from hebbviz.learner import TaskError
 from hebbviz.moments import Frame
@@ -80,6 +80,10 @@ MOST_OWED_SECONDS = 0.25
 """A run that cannot keep up with its speed does not save up more than this."""
 SLOW_STRETCHES = 5
 """Stretches over which the speed is measured where a second has fewer."""
+NOTHING_TO_PLAY = (
+    "the latest reward is played of a run that is shown live and alone: go back to now, or end the "
+    "fork"
+)
 SAME_GESTURE_SECONDS = 0.7
 """Changes of one kind closer together than this are one for undo: a slider being dragged."""
 
@@ -114,6 +118,7 @@ class Worker(threading.Thread):
         self._estimating = Estimating()
         run.followers.append(self._estimating)
         self._paused = False
+        self._probes: tuple[int, ...] = ()
         self._speed: Speed = MAX
         self._owed = 0.0
         self._single_steps = 0
@@ -213,11 +218,11 @@ class Worker(threading.Thread):
         try:
             block = self._run.advance(steps)
         except TaskError as error:
+            self._follow()
             self._stop_run(str(error))
             return
         done = len(block.fired)
-        if self._fork is not None:
-            self._fork.follow(block)
+        self._follow()
         self._watch.note(moment, block)
         self._live_trail.note(block)
         self._owed = max(0.0, self._owed - done)
@@ -228,6 +233,16 @@ class Worker(threading.Thread):
         passed, recorded = computed if self._rate() is None else seconds, moment.lane_size
         if self._pace.is_due(computed, passed, recorded):
             self._run.keep()
+
+    def _follow(self) -> None:
+        """Let the other copy of a fork make as many steps; where it cannot, the fork ends."""
+        if self._fork is None:
+            return
+        try:
+            self._fork.follow(self._run.learner.step)
+        except TaskError as error:
+            self._notice(f"the fork has ended, as in the other copy {error}")
+            self._fork = None
 
     def _steps_owed(self) -> int:
         return LONGEST_STRETCH if self._rate() is None else int(self._owed)
@@ -335,7 +350,6 @@ class Worker(threading.Thread):
                 self._set_speed(speed)
 
     def _go_elsewhere(self, command: Reset | Choose | Undo) -> None:
-        self._player = self._fork = None
         match command:
             case Reset():
                 self._run.reset(command)
@@ -356,6 +370,8 @@ class Worker(threading.Thread):
                     self._watch.clear()
             case SetWatchSpeed(speed):
                 self._watch.speed = speed
+            case ShowReward() if self._player is not None or self._fork is not None:
+                raise ValueError(NOTHING_TO_PLAY)
             case ShowReward():
                 if not self._watch.show_reward(self._run):
                     self._notice("no reward has come yet")
@@ -368,8 +384,13 @@ class Worker(threading.Thread):
             case NextLane(by):
                 self._look_at((self._run.learner.watch + by) % self._run.learner.lanes)
             case Probe(synapses):
-                known = range(self._run.learner.topology.synapses)
-                self._run.learner.probe([s for s in synapses if s in known])
+                self._probes = synapses
+                self._run.learner.probe(self._known(synapses))
+
+    def _known(self, synapses: Sequence[int]) -> list[int]:
+        """Those of them that the network has."""
+        known = range(self._run.learner.topology.synapses)
+        return [s for s in synapses if s in known]
 
     def _look_at(self, lane: int) -> None:
         """Show another lane: now, in excerpts, in the past, in both copies of a fork."""
@@ -388,13 +409,14 @@ class Worker(threading.Thread):
         """Make a change in the run; in its past, by taking over there."""
         if isinstance(change, SetRule):
             self._recordings.check_rule(make_rule(change.rule))
-        if self._player is not None:
+        takes_over = self._player is not None
+        if takes_over:
             self._take_over()
         now, kind = time.monotonic(), type(change)
         recent = now - self._last_change[1] < SAME_GESTURE_SECONDS
         drags = isinstance(change, (SetBeta, SetGamma)) and kind is self._last_change[0]
         self._last_change = (kind, now)
-        self._run.change(change, undoable=not (drags and recent))
+        self._run.change(change, undoable=not (takes_over or (drags and recent)))
         if self._fork is not None:
             self._fork.change(change)
 
@@ -420,14 +442,10 @@ class Worker(threading.Thread):
             case BackToNow():
                 self._player = None
                 self._live_trail.clear()
-            case TakeOver(beta, gamma):
+            case TakeOver():
                 if self._player is None:
                     raise ValueError("the run is shown where it is: there is nothing to take over")
                 self._take_over()
-                if beta is not None:
-                    self._run.change(SetBeta(beta))
-                if gamma is not None:
-                    self._run.change(SetGamma(gamma))
 
     def _visit(self) -> Player:
         """Show the past of the run, which rests meanwhile."""
@@ -469,7 +487,8 @@ class Worker(threading.Thread):
             raise ValueError("there is no fork to end")
         fork, self._fork = self._fork, None
         if keep_other:
-            self._run.become(fork.learner, fork.history, f"keeping the copy with {fork.difference}")
+            words = f"keeping the copy with {fork.difference}"
+            self._run.become(fork.learner, fork.history, fork.log, words)
             self._renew()
 
     def _evaluate(self) -> None:
@@ -499,13 +518,15 @@ class Worker(threading.Thread):
             self._notice("there is nothing to undo")
             return
         self._notice(f"undone: {words}, back at step {self._run.learner.step:,}")
-        same = learner is self._run.learner
-        self._renew(keep_evaluations_to=self._run.learner.step if same else -1)
-        if learner.task is not self._run.learner.task:
+        now = self._run.learner
+        self._renew(keep_evaluations_to=now.step if learner is now else -1)
+        if (learner.task.name, learner.task.plain_preset) != (now.task.name, now.task.plain_preset):
             self._settle_speed()
 
     def _renew(self, *, keep_evaluations_to: int = -1) -> None:
         """After the run became another: forget what belonged to the one before."""
+        self._player = self._fork = None
+        self._run.learner.probe(self._known(self._probes))
         self._evaluator.forget(keep_evaluations_to)
         self._stuck.forget()
         self._watch.clear()
@@ -578,8 +599,10 @@ class Worker(threading.Thread):
     def _what_is_shown(self, live: Frame, seconds: float) -> tuple[Frame, Trail]:
         """The excerpt's frame while one plays and the run is too fast to be seen, else `live`."""
         if self._player is not None:
+            self._watch.rest()
             return self._player.play(seconds, self._rate()), self._player.trail
         if self._fork is not None:
+            self._watch.rest()
             return live, self._live_trail
         if self._watch.in_slow_motion or (self._is_too_fast() and not self._paused):
             played = self._watch.play(self._run, seconds, go_on=not self._paused)

@@ -279,7 +279,8 @@ def test_a_fork_does_not_depend_on_the_watched_lane(kind: str) -> None:
         fork.look_at(lane)
         run.look_at(lane)
         for _ in range(4):
-            fork.follow(run.advance(100))
+            run.advance(100)
+            fork.follow(run.learner.step)
         assert fork.frame().tally == fork.learner.tally(lane)
         ends.append((run.learner.keyframe().digest(), fork.learner.keyframe().digest()))
     assert ends[0] == ends[1]

@@ -17,20 +17,25 @@ from hebbviz.learner import Learner
 from hebbviz.moments import Keyframe, join
 from server.commands import (
     BackToNow,
+    Choose,
     EndFork,
     Event,
     Pause,
+    Probe,
+    Reset,
     Seek,
     SeekEvent,
     SetBeta,
     SetGamma,
     SetLoop,
     SetSpeed,
+    SetWatch,
+    ShowBeginning,
+    ShowReward,
     StartFork,
     StartRecording,
     StepOnce,
     StopRecording,
-    TakeOver,
     Undo,
 )
 from server.fork import BETA, GAMMA, KINDS, NO_MEMORY, NO_REWARD, OTHER_REWARD, Difference, Fork
@@ -42,7 +47,7 @@ from server.recording.targets import FileTarget
 from server.run import Run
 from server.tape import Moment, Pace, Tape
 from server.trail import STEPS
-from server.worker import Worker
+from server.worker import NOTHING_TO_PLAY, Worker
 from sims.loading import make_task
 
 STEP = 1200
@@ -220,6 +225,34 @@ def test_a_tape_stays_within_its_bytes_and_keeps_its_beginning() -> None:
     assert tape.until(100).before(10**9) == tape.before(100)
 
 
+def test_former_runs_are_forgotten_before_they_take_all_memory(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = new_run()
+    size = run.moment().size
+    monkeypatch.setattr("server.run.MOST_UNDO_BYTES", 60 * size)
+    for _ in range(12):
+        for _ in range(20):
+            run.advance(10)
+            run.keep()
+        run.reset(Reset())
+    undone = 0
+    while run.undo() is not None:
+        undone += 1
+    assert undone == 3, "of 21 moments each, and one of their own"
+
+
+def test_a_recording_that_is_gone_on_with_stays_within_its_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("server.recording.reader.MOST_BYTES", 20 * new_run().moment().size)
+    run = recorded(tmp_path / "run.rrd")
+    for _ in range(100):
+        run.advance(10)
+        run.keep()
+    assert len(run.tape) <= 20
+
+
 def test_moments_are_a_tenth_of_a_second_of_computing_apart() -> None:
     pace = Pace()
     due = [pace.is_due(0.01, 0.01, 2_000) for _ in range(100)]
@@ -239,7 +272,8 @@ def test_a_fork_differs_in_one_thing_alone(kind: str) -> None:
     start = run.learner.keyframe()
     fork = Fork(run, Difference(kind, 0.5 if kind == BETA else 5e-4 if kind == GAMMA else None))
     for _ in range(10):
-        fork.follow(run.advance(100))
+        run.advance(100)
+        fork.follow(run.learner.step)
     other = run.learner.twin()
     other.restore(start)
     if kind in (BETA, NO_MEMORY):
@@ -263,7 +297,8 @@ def test_a_fork_differs_in_one_thing_alone(kind: str) -> None:
 def test_a_fork_that_differs_in_nothing_is_the_same_run() -> None:
     run = new_run()
     fork = Fork(run, Difference(BETA, run.learner.beta))
-    fork.follow(run.advance(300))
+    run.advance(300)
+    fork.follow(run.learner.step)
     assert same_learner(fork.learner, run.learner)
 
 
@@ -347,15 +382,46 @@ def test_a_live_run_is_rewound_and_left(stage: Stage) -> None:
 
 def test_a_run_is_taken_over_from_its_past_and_brought_back(stage: Stage) -> None:
     digest = stage.run.learner.keyframe().digest()
-    stage.send(SetSpeed(50.0), Seek(450), TakeOver(beta=0.5))
+    stage.send(SetSpeed(50.0), Seek(450), SetBeta(0.5))
     stage.wait(lambda: stage.picture.live.step > 455)
     assert (stage.picture.past, stage.picture.beta) == (None, 0.5)
-    stage.send(Undo(), Undo(), Pause(paused=True))
+    stage.send(Undo(), Pause(paused=True))
     stage.wait(lambda: stage.picture.live.step >= STEP)
     stage.worker.stop()
     stage.worker.join(5.0)
     if stage.run.learner.step == STEP:
         assert stage.run.learner.keyframe().digest() == digest
+
+
+def test_what_is_undone_in_vain_or_refused_leaves_the_past_and_a_fork(stage: Stage) -> None:
+    stage.send(Undo(), Undo())
+    in_vain, refused = Undo(), Choose("pendulum", hidden=(0,))
+    for begin in (Seek(200), StartFork(NO_MEMORY)):
+        before = len(stage.notices)
+        stage.send(BackToNow(), begin, in_vain, refused)
+        stage.wait(lambda before=before: len(stage.notices) == before + 2)  # type: ignore[misc]
+        assert "nothing to undo" in stage.notices[-2]
+        assert "hidden" in stage.notices[-1]
+        past, other = stage.picture.past, stage.picture.other
+        assert (past.cursor == 200) if isinstance(begin, Seek) else (other is not None)
+
+
+def test_no_excerpt_is_played_of_a_fork_or_the_past(stage: Stage) -> None:
+    stage.send(SetWatch(on=True), Pause(paused=False))
+    stage.wait(lambda: stage.picture.excerpt is not None)
+    stage.send(StartFork(NO_MEMORY), ShowReward(), ShowBeginning())
+    assert stage.picture.other is not None
+    assert stage.picture.excerpt is None
+    assert stage.notices == [NOTHING_TO_PLAY]
+    stage.send(EndFork(), Seek(450), ShowReward())
+    assert stage.picture.past is not None
+    assert stage.picture.excerpt is None
+    assert stage.notices == 2 * [NOTHING_TO_PLAY]
+
+
+def test_what_a_tab_follows_it_follows_after_a_reset_too(stage: Stage) -> None:
+    stage.send(Probe((3, 10**6)), Reset(), Pause(paused=False))
+    stage.wait(lambda: stage.picture.live.since.probes == (3,))
 
 
 def test_a_change_in_the_past_takes_over_there(stage: Stage) -> None:
@@ -374,8 +440,16 @@ def test_a_fork_runs_beside_and_one_of_the_two_is_kept(stage: Stage) -> None:
     stage.send(Pause(paused=True), EndFork(keep_other=True))
     assert stage.picture.other is None
     assert stage.picture.beta == 0.0
+    assert [str(c.change) for c in stage.picture.changes][-1] == "β 0"
     stage.send(Undo())
     assert stage.picture.beta == 0.9
+
+
+def test_the_copy_that_is_kept_has_the_changes_that_were_made_in_it(stage: Stage) -> None:
+    known = [str(c) for c in CHANGED.values()]
+    stage.send(StartFork(BETA, 0.5), SetBeta(0.7), SetGamma(2e-3), EndFork(keep_other=True))
+    assert (stage.picture.beta, stage.picture.gamma) == (0.5, 2e-3)
+    assert [str(c.change) for c in stage.picture.changes] == [*known, "β 0.5", "γ 0.002"]
 
 
 def test_recording_is_begun_and_ended_by_commands(stage: Stage) -> None:

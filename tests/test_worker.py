@@ -20,6 +20,7 @@ from hebbviz.task import Input, Output, Preset, Tally, Task
 from server.commands import (
     Choose,
     Command,
+    Evaluate,
     Freeze,
     GiveReward,
     Logged,
@@ -33,9 +34,11 @@ from server.commands import (
     SetWatch,
     SetWatchSpeed,
     ShowReward,
+    StartFork,
     StepOnce,
     Undo,
 )
+from server.fork import NO_MEMORY
 from server.history import CAPACITY, History, Totals
 from server.picture import Picture
 from server.run import Run
@@ -553,6 +556,36 @@ def test_a_task_that_raises_pauses_the_run_and_loses_nothing() -> None:
         b.send(StepOnce())
         step = picture.live.step
         assert b.until(lambda p: p.live.step > step).live.step == step + 1
+
+
+def test_both_copies_of_a_fork_stop_at_the_same_step() -> None:
+    with bench(new_run("breaks"), SetSpeed(2000.0)) as b:
+        b.send(StartFork(NO_MEMORY))
+        picture = b.until(lambda p: p.error is not None, 5.0)
+        assert picture.other is not None
+        assert picture.other.frame.step == picture.live.step == 300
+
+
+def test_an_evaluation_that_fails_is_a_notice() -> None:
+    class Unjudged(Breaks):
+        def evaluate(self, learner: Learner) -> Any:
+            raise KeyError("no judge")
+
+    with bench(Run(Learner(Unjudged()), lambda *_: Unjudged()), Pause(paused=True)) as b:
+        b.send(Evaluate())
+        b.until(lambda _: len(b.notices) == 1)
+        assert "KeyError" in b.notices[0]
+        b.send(Evaluate())
+        b.until(lambda _: len(b.notices) == 2)
+
+
+def test_undoing_a_switch_leaves_the_speed_that_was_chosen() -> None:
+    with bench(new_run("sonar"), SetSpeed(100.0), SetWatch(on=False)) as b:
+        b.send(Reset(switch=("centred", True)))
+        b.until(lambda p: p.task.settings["centred"])
+        b.send(Undo())
+        picture = b.until(lambda p: not p.task.settings["centred"])
+        assert (picture.speed, picture.watching) == (100.0, False)
 
 
 def test_blocks_tell_every_step_that_is_shown() -> None:

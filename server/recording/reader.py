@@ -23,7 +23,7 @@ from server.recording.chunks import Table, read, readable
 from server.recording.header import BadRecording, Header, change_from_json, known_rule
 from server.recording.stored import Stored
 from server.run import MakeTask, Run
-from server.tape import Moment, Tape
+from server.tape import MOST_BYTES, Moment, Tape
 
 Array = NDArray[np.float64]
 
@@ -83,7 +83,8 @@ class Recording:
             raise BadRecording(f"{self.path} does not fit task {header.task!r}: {error}") from error
         self._go_to_end(learner)
         run = Run(learner, make_task, task_name or header.task)
-        run.log, run.history, run.tape = list(self.log), self.history(), Tape(self.moments)
+        run.log, run.history = list(self.log), self.history()
+        run.tape = Tape(self.moments, most_bytes=MOST_BYTES)
         run.stored = Stored(self.path, header.topology)
         return run
 
