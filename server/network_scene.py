@@ -16,7 +16,8 @@ from server.palette import Rgb, Theme
 
 Array = NDArray[np.float64]
 
-MOST_LABELS = 16
+MOST_LABELS, FEW_LABELS = 16, 4
+"""So many inputs have names at most; no more than a few have room for larger ones side by side."""
 BAR = 0.75
 """Width of an input's bar, as a share of its diameter."""
 OUT_OF_SIGHT = (0.0, 0.0, -1e4)
@@ -175,11 +176,12 @@ class NetworkScene:
                 position=(left, 0.0, self._place.units[where][0, 2]), anchor="center-right",
             )  # fmt: skip
         if 1 < self._inputs <= MOST_LABELS:
+            step, size = (0.2, 0.62) if self._inputs > FEW_LABELS else (0.0, 0.85)
             for k in range(self._inputs):
                 x, y, z = self._place.units[k]
                 self._scene.add_label(
-                    f"{self._root}/input/{k}", names[k], position=(x, y, z - 1.22 - 0.2 * (k % 2)),
-                    anchor="top-center", font_screen_scale=0.62,
+                    f"{self._root}/input/{k}", names[k], position=(x, y, z - 1.22 - step * (k % 2)),
+                    anchor="top-center", font_screen_scale=size,
                 )  # fmt: skip
 
     def _batch(
