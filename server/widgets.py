@@ -31,9 +31,9 @@ class Widgets:
 
     def __init__(self, gui: viser.GuiApi, send: Send, notify: Notify) -> None:
         self.gui, self._send, self._notify = gui, send, notify
-        self._touched: dict[int, float] = {}
-        self._put_before: dict[int, Any] = {}
-        self._waiting: dict[int, threading.Timer] = {}
+        self._touched: dict[str, float] = {}
+        self._put_before: dict[str, Any] = {}
+        self._waiting: dict[str, threading.Timer] = {}
         self._picture: Picture | None = None
 
     @property
@@ -47,6 +47,9 @@ class Widgets:
         """Take note of what holds, before any widget is set to it."""
         if self._picture is not None and self._picture.run_number != picture.run_number:
             self._touched.clear()  # after an undo or a reset, what was typed before is past
+            for waiting in list(self._waiting.values()):
+                waiting.cancel()
+            self._waiting.clear()
         self._picture = picture
 
     def when(
@@ -61,6 +64,7 @@ class Widgets:
         A value may be `unfinished`: a page sends every key that is typed, and a 1 may become 1e-3.
         Such a value waits until nothing more is typed.
         """
+        key = _key(handle)
 
         def act() -> None:
             self.attempt(lambda: command(handle.value))
@@ -68,13 +72,13 @@ class Widgets:
         def changed(event: Any) -> None:
             if event.client is None:
                 return
-            self._touched[id(handle)] = time.monotonic()
-            self._put_before.pop(id(handle), None)
-            waiting = self._waiting.pop(id(handle), None)
+            self._touched[key] = time.monotonic()
+            self._put_before.pop(key, None)
+            waiting = self._waiting.pop(key, None)
             if waiting is not None:
                 waiting.cancel()
             if unfinished(handle.value):
-                self._waiting[id(handle)] = timer = threading.Timer(TYPING_SECONDS, act)
+                self._waiting[key] = timer = threading.Timer(TYPING_SECONDS, act)
                 timer.daemon = True
                 timer.start()
             else:
@@ -110,7 +114,7 @@ class Widgets:
 
         A widget that merely differs is left alone: what was typed may still be on its way here.
         """
-        key = id(handle)
+        key = _key(handle)
         touched = self._touched.get(key)
         if touched is not None:
             if time.monotonic() - touched < quiet:
@@ -122,6 +126,12 @@ class Widgets:
             return
         self._put_before[key] = value
         assign(handle, "value", value)
+
+
+def _key(handle: Any) -> str:
+    """What no other widget has, before it or after it."""
+    uuid: str = handle._impl.uuid  # noqa: SLF001
+    return uuid
 
 
 def _tell_again(handle: Any) -> None:
