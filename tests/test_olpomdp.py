@@ -12,7 +12,7 @@ from hebbviz.exact import NetworkPolicy
 from hebbviz.finite_world import finite_world
 from hebbviz.learner import Learner
 from hebbviz.olpomdp import Agent, gpomdp, olpomdp
-from hebbviz.policies import Gibbs, Independent, Neuron
+from hebbviz.policies import Gibbs, Independent, Neuron, mixed_digits
 from hebbviz.pomdp import POMDP, three_state_chain
 from hebbviz.topology import BINARY, SYMMETRIC, Group, Projection, Topology
 
@@ -196,13 +196,48 @@ def random_agents(rng, count):
     return world, joint, theta
 
 
+def features_of(policy):
+    """φ(y, u) of the Gibbs policy that this one is; a neuron's is u times what it sees."""
+    if isinstance(policy, Neuron):
+        return np.array([0.0, 1.0])[:, None] * policy.inputs[:, None]
+    return policy.features
+
+
+def as_one(joint):
+    """The combined agent as one Gibbs policy over joint controls, which knows no agents.
+
+    exp(Σ_i θ^i·φ^i) is the product of the agents' own: φ is their φ^i in a row. The score takes
+    off its mean over all joint controls.
+    """
+    own = [features_of(policy) for policy in joint.agents]
+    digits = mixed_digits([phi.shape[1] for phi in own])
+    rows = [phi[y][:, u] for phi, y, u in zip(own, joint.sees, digits, strict=True)]
+    return Gibbs(np.concatenate(rows, axis=2))
+
+
+@settings(max_examples=60)
+@given(seed=SEEDS, count=st.integers(1, 4), beta=st.floats(0.0, 0.99))
+def test_independent_agents_are_one_agent_whose_score_is_theirs_in_a_row(seed, count, beta):
+    """Theorem 1: what the others may do drops out of the mean over all joint controls."""
+    world, joint, theta = random_agents(np.random.default_rng(seed), count)
+    one = as_one(joint)
+    assert np.allclose(joint.probabilities(theta), one.probabilities(theta), rtol=0, atol=1e-14)
+    assert np.allclose(joint.score(theta), one.score(theta), rtol=0, atol=1e-13)
+    chain, of_one = world.under(joint, theta), world.under(one, theta)
+    biased, of_one_biased = chain.biased_gradient(beta), of_one.biased_gradient(beta)
+    assert np.allclose(chain.gradient, of_one.gradient, rtol=0, atol=1e-12)
+    assert np.allclose(biased, of_one_biased, rtol=0, atol=1e-12)
+
+
 @settings(max_examples=40)
 @given(seed=SEEDS, count=st.integers(1, 4), beta=st.floats(0.0, 0.99), gamma=st.floats(0.001, 0.5))
 def test_the_combined_agents_update_is_each_agents_own(seed, count, beta, gamma):
     """Theorem 1: from the one reward, what each sees and what each did, and nothing else."""
     rng = np.random.default_rng(seed)
     world, joint, theta = random_agents(rng, count)
-    combined = Agent(joint, theta, beta=beta, gamma=gamma)
+    combined, one = (
+        Agent(policy, theta, beta=beta, gamma=gamma) for policy in (joint, as_one(joint))
+    )
     alone = [
         Agent(policy, part, beta=beta, gamma=gamma)
         for policy, part in zip(joint.agents, joint.parts(theta), strict=True)
@@ -211,16 +246,18 @@ def test_the_combined_agents_update_is_each_agents_own(seed, count, beta, gamma)
     for _ in range(60):
         y = rng.choice(world.sights, p=world.observations[x])
         u = combined.choose(y, rng.random())
-        combined.remember(y, u)
         digits = joint.controls(combined.theta)[:, u]
+        for whole in (combined, one):
+            whole.remember(y, u)
         for agent, seen, did in zip(alone, joint.sees[:, y], digits, strict=True):
             agent.remember(seen, did)
         x = rng.choice(world.states, p=world.transitions[u, x])
-        for agent in (combined, *alone):
+        for agent in (combined, one, *alone):
             agent.reinforce(world.rewards[x])
     for name in ("theta", "trace"):
-        together, apart = getattr(combined, name), [getattr(a, name) for a in alone]
-        assert np.allclose(together, np.concatenate(apart), rtol=1e-12, atol=1e-12)
+        apart = np.concatenate([getattr(agent, name) for agent in alone])
+        for whole in (combined, one):
+            assert np.allclose(getattr(whole, name), apart, rtol=1e-12, atol=1e-12)
 
 
 @settings(max_examples=30)
