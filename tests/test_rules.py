@@ -3,6 +3,7 @@
 import math
 import re
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from conformance import check_rule, same_learner
 
+import sims
 from hebbviz import rules
 from hebbviz.engine import FALL_EVERY
 from hebbviz.files import BadFile, load, save
@@ -27,13 +29,22 @@ from server.recording.targets import FileTarget
 from server.run import Run
 from sims.lamps import Lamps, small_example
 from sims.loading import load_rule, make_task
-from sims.sonar import Sonar
 
 LEVER = f"{Path(__file__).parent / 'examples' / 'lever.py'}:Lever"
-TASKS = {
-    "lamps": Lamps, "sonar": Sonar, "pendulum": lambda: make_task("pendulum"),
-    "synapse": lambda: make_task("synapse"), "lever": lambda: make_task(LEVER),
-}  # fmt: skip
+
+
+def in_lanes(make):
+    return make().in_lanes()
+
+
+def has_lanes(make):
+    task = make()
+    return task.in_lanes() is not task
+
+
+TASKS = {name: partial(make_task, name) for name in sims.TASKS}
+TASKS |= {"lamps": Lamps, "lever": partial(make_task, LEVER)}
+TASKS |= {f"{name} in lanes": partial(in_lanes, m) for name, m in TASKS.items() if has_lanes(m)}
 OWN = """
 from dataclasses import dataclass
 from hebbviz.rules import Rule, parameter
@@ -67,6 +78,34 @@ def own(tmp_path, monkeypatch):
 @pytest.mark.parametrize("rule", [Paper(), Baseline(time=20.0), Yoked()], ids=str)
 def test_every_rule_fits_every_task(rule, task):
     check_rule(rule, TASKS[task])
+
+
+@dataclass(frozen=True)
+class Ends(Rule):
+    """Sends 1 where an episode ended, whatever the reward."""
+
+    name = "ends"
+
+    @staticmethod
+    def modulate(memory, constants, reward, ended, sent):
+        for lane in range(len(ended)):
+            sent[lane] = ended[lane]
+
+
+@pytest.mark.parametrize("task", ["pendulum", "pendulum in lanes"])
+def test_a_rule_is_told_where_episodes_end(task):
+    """In every lane, at the step itself: at the one whose reward is −1."""
+    learner = Learner(TASKS[task](), rule=Ends(), lanes=3, seed=2)
+    block = learner.advance(400)
+    assert np.array_equal(block.broadcast, block.ended)
+    ends = []
+    for _ in range(200):
+        learner.advance(1)
+        raw, sent = learner._read("reward")
+        assert np.array_equal(sent, -raw)
+        ends.append(sent)
+    assert block.ended.any()
+    assert len(np.unique(ends, axis=1).T) == 3, "no two lanes end alike"
 
 
 # The reward baseline
