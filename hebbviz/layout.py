@@ -1,8 +1,8 @@
 """Where everything sits: one array of numbers per tile of lanes, (rows, width), the lane last.
 
 A tile is up to WIDTHS[-1] lanes that are stepped together. What is read together stands together,
-in records: a neuron's potential, draw, spike and activity in consecutive rows, a synapse's weight
-and trace likewise. Within a record compiled code reaches each row by a constant, so that the
+in records: a neuron's activity, potential and surprise in consecutive rows, a synapse's weight and
+trace likewise. Within a record compiled code reaches each row by a constant, so that the
 compiler sees that rows differ and computes several lanes at once without asking at run time.
 
 Outside, the same numbers have one order for good, by SECTIONS: saves, keyframes and checksums do

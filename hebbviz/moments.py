@@ -126,7 +126,7 @@ class Summary:
 
     `spikes` (neurons,) counts; `potential_range` (2, neurons) least and greatest v;
     `probe_range` (2, probes) least and greatest z of the probed synapses; `weight_change`
-    (synapses,) is Σ γ r z; `tally` the rewards and ends of these steps.
+    (synapses,) is Σ γ m z, m the reward as broadcast; `tally` the rewards and ends of these steps.
     """
 
     steps: int

@@ -88,7 +88,8 @@ class POMDP:
     def lazy(self, stays: float) -> POMDP:
         """The same world, but that each step is undone with probability `stays` in [0, 1).
 
-        It has the same π and η under every policy, and takes 1/(1 − stays) times as long to mix.
+        Under every policy it has the same π and η, and the eigenvalue stays + (1 − stays) λ for
+        each λ of P: the gap 1 − λ is 1 − stays times as wide.
         """
         if not 0.0 <= stays < 1.0:
             raise ValueError(f"stays must be in [0, 1), got {stays}")

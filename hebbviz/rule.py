@@ -18,10 +18,10 @@ and z₀ are what the synapse was when x came. So a step costs a few numbers per
 one per synapse, and nothing is approximated. `hold` folds the sums back into w₀ and z₀, and does
 so only when the input changes: rounding does not depend on pictures, blocks or saves.
 
-`s` is a tile's state (rows, width) laid flat, so that row r of lane k is s[r·width + k]; `table`
-is the layout's. `width` is a constant wherever these functions are compiled. The innermost loops
-run over the lanes, each loop within few records (see `layout`), and the compiler computes several
-lanes at once. No `fastmath`: the results are the same to the bit whatever the width.
+`state` is a tile's, (rows, width), and row(state, r, width) a view of its row r, all lanes of it;
+`table` is the layout's. `width` is a constant wherever these functions are compiled. The innermost
+loops run over the lanes, each loop within few records (see `layout`), and the compiler computes
+several lanes at once. No `fastmath`: the results are the same to the bit whatever the width.
 """
 
 from __future__ import annotations

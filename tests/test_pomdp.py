@@ -217,6 +217,8 @@ def test_a_slower_world_needs_a_longer_memory_exactly(seed, stays, beta):
     quick, slow = world.under(policy, theta), world.lazy(stays).under(policy, theta)
     odds = (1.0 - stays) * beta / (1.0 - beta)
     same = odds / (1.0 + odds)
+    undone = stays * np.eye(world.states) + (1.0 - stays) * quick.transition
+    assert np.allclose(slow.transition, undone, rtol=0, atol=1e-14)
     assert np.allclose(slow.stationary, quick.stationary, rtol=0, atol=1e-11)
     assert np.allclose(slow.gradient, quick.gradient, rtol=0, atol=1e-9)
     expected = same / beta * quick.biased_gradient(same)
