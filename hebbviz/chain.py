@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.limits import check_beta
+from hebbviz.truth import expected_cosine
 
 Array = NDArray[np.float64]
 
@@ -123,18 +124,18 @@ class Chain:
     def expected_cosine(self, beta: float, *, steps: float, of: Index = ALL) -> float:
         """How well the mean of r z over `steps` steps points along ∇η: m·g / (|g| √E|mean|²).
 
-        m is E[r z], g is ∇η, both of the parameters `of`; E|mean|² is |m|² + Σ noise/steps. Many
-        steps show the bias alone; few show the signal per noise, and the square then grows as
-        `steps`, which may be infinite. Raises ValueError where ∇η is zero: it has no direction.
+        m is E[r z], g is ∇η, both of the parameters `of`. E|mean|² is taken to be |m|² +
+        Σ noise/steps, as it is for long averages, see `noise`; at any `steps` the formula weighs
+        bias against noise. Many steps, which may be infinitely many, show the bias alone; few show
+        the signal per noise, and the square then grows as `steps`. It is 0 where nothing is left
+        of the mean. Raises ValueError where ∇η is zero: it has no direction.
         """
         if not steps > 0:
             raise ValueError(f"steps must be above 0, got {steps}")
         g, m = self.gradient[of], self.biased_gradient(beta)[of]
-        length = float(np.linalg.norm(g))
-        if length == 0.0:
+        if np.linalg.norm(g) == 0.0:
             raise ValueError("the gradient of these parameters is zero: it has no direction")
-        spread = float(m @ m + self.noise(beta)[of].sum() / steps)
-        return float(m @ g) / (length * spread**0.5) if spread > 0.0 else 0.0
+        return float(np.nan_to_num(expected_cosine(g, m, self.noise(beta)[of], steps)))
 
     def best_beta(self, *, steps: float, of: Index = ALL) -> float:
         """The β of the largest `expected_cosine`, to 10⁻⁴, by a grid made finer four times."""

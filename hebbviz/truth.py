@@ -33,7 +33,7 @@ class GradientTruth:
 
     def angle(self, estimate: Array) -> float:
         """Degrees between ∇η and an estimate of it; NaN where either has no direction."""
-        return angle_between(self.gradient, estimate)
+        return float(angle_between(self.gradient, estimate))
 
     @property
     def bias_angle(self) -> float:
@@ -41,20 +41,28 @@ class GradientTruth:
         return self.angle(self.biased)
 
     def expected_angles(self, steps: Array) -> Array:
-        """Degrees to be expected of the mean of r z over so many steps, as `steps` in shape.
-
-        cos = m·g / (|g| √(|m|² + Σ noise/T)), m being E[r z] and g being ∇η.
-        """
-        m, g = self.biased, self.gradient
-        spread = m @ m + self.noise.sum() / steps
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return _degrees(m @ g / (np.linalg.norm(g) * np.sqrt(spread)))
+        """Degrees to be expected of the mean of r z over so many steps, as `steps` in shape."""
+        return _degrees(expected_cosine(self.gradient, self.biased, self.noise, steps))
 
 
-def angle_between(a: Array, b: Array) -> float:
-    """Degrees between two vectors; NaN where either is zero."""
-    lengths = np.linalg.norm(a) * np.linalg.norm(b)
-    return float(_degrees(a @ b / lengths)) if lengths > 0.0 else float("nan")
+def expected_cosine(g: Array, m: Array, noise: Array, steps: Array | float) -> Array:
+    """cos = m·g / (|g| √(|m|² + Σ noise/T)) for each T of `steps`, m being E[r z], g being ∇η.
+
+    The root is that of E|mean|² over T steps, T long against 1/(1 − β) and the mixing. NaN where
+    it or g is zero.
+    """
+    spread = np.maximum(m @ m + noise.sum() / steps, 0.0)  # no noise may be less by rounding
+    return np.array(m @ g / _or_nan(np.linalg.norm(g) * np.sqrt(spread)))
+
+
+def angle_between(a: Array, b: Array) -> Array:
+    """Degrees from one vector (K,) to another, or to each of (K, n); NaN where one is zero."""
+    lengths = np.linalg.norm(a) * np.linalg.norm(b, axis=0)
+    return _degrees(a @ b / _or_nan(lengths))
+
+
+def _or_nan(lengths: Array) -> Array:
+    return np.where(lengths > 0.0, lengths, np.nan)
 
 
 def _degrees(cosine: Array) -> Array:

@@ -18,10 +18,11 @@ import pytest
 
 import hebbviz
 from hebbviz.learner import Learner
+from hebbviz.truth import angle_between
 from server.cli import main
 from server.experiments import Plan
 from server.figures.curves import preset_note
-from server.figures.gradient import BETAS, STILL, angles
+from server.figures.gradient import BETAS, STILL, Watched
 from server.figures.order import KINDS
 from server.figures.sheet import Origin, Sheet, blank, look, save
 from sims.lamps import small_example
@@ -171,20 +172,24 @@ def test_gradient_shows_the_angles_of_real_learners_and_of_the_exact_chain(made)
         assert columns["angle_mean"][rows][-1] == pytest.approx(last.mean(), rel=1e-12)
         cosine = np.cos(np.radians(columns["angle_expected"][rows][-1]))
         assert cosine == pytest.approx(chain.expected_cosine(beta, steps=steps), abs=1e-9)
-        bias = angles(chain.biased_gradient(beta)[:, None], chain.gradient)
-        assert figure.says["bias"][k] == pytest.approx(bias[0], abs=1e-9)
+        bias = angle_between(chain.gradient, chain.biased_gradient(beta))
+        assert figure.says["bias"][k] == pytest.approx(bias, abs=1e-9)
     learner = Learner(network.world, topology=network.topology, beta=0.8, gamma=STILL, first_lane=1)
     learner.set_weights(weights[:, None])
     learner.skip(steps)
-    angle = angles(learner.weights - weights[:, None], chain.gradient)[0]
+    angle = angle_between(chain.gradient, learner.weights[:, 0] - weights)
     assert columns["angle_1"][columns["beta"] == 0.8][-1] == pytest.approx(angle, abs=1e-4)
     assert 0.0 < angle < 60.0
 
 
-def test_angles_are_those_between_vectors():
-    estimates = np.array([[1.0, 0.0, -2.0, 1.0, 0.0], [0.0, 3.0, 0.0, 1.0, 0.0]])
-    found = angles(estimates, np.array([1.0, 0.0]))
-    np.testing.assert_allclose(found, [0.0, 90.0, 180.0, 45.0, 90.0], atol=1e-12)
+def test_an_estimate_is_at_a_right_angle_as_long_as_it_has_no_direction():
+    learner = Learner(Watched(), lanes=3)
+    assert learner.task.evaluate(learner)["angle"].tolist() == [90.0] * 3
+    gradient = np.array(learner.task._gradient)
+    toward = np.stack([gradient, -gradient, np.zeros_like(gradient)], axis=1)
+    learner.set_weights(learner.weights + 1e-3 * toward)
+    angle = learner.task.evaluate(learner)["angle"]
+    np.testing.assert_allclose(angle, [0.0, 180.0, 90.0], atol=1e-4)
 
 
 @pytest.mark.slow

@@ -69,6 +69,20 @@ def test_angles():
     assert angle_between(np.array([2.0, 0.0]), np.array([0.0, 3.0])) == pytest.approx(90.0)
     assert angle_between(np.array([1.0, 1.0]), np.array([-2.0, -2.0])) == pytest.approx(180.0)
     assert math.isnan(angle_between(np.zeros(2), np.ones(2)))
+    many = np.array([[1.0, 0.0, -2.0, 1.0, 0.0], [0.0, 3.0, 0.0, 1.0, 0.0]])
+    found = angle_between(np.array([1.0, 0.0]), many)
+    np.testing.assert_allclose(found, [0.0, 90.0, 180.0, 45.0, math.nan], atol=1e-12)
+
+
+def test_the_expected_angle_falls_with_the_noise_to_that_of_the_bias():
+    """Of m = (1, 1) and g along the first axis the cosine is 1/√(2 + noise/T)."""
+    truth = GradientTruth(np.array([3.0, 0.0]), np.ones(2), np.array([1.5, 0.5]), 0.0)
+    few, some, all_steps = truth.expected_angles(np.array([1e-12, 1.0, math.inf]))
+    assert few == pytest.approx(90.0, abs=1e-4)
+    assert some == pytest.approx(60.0)
+    assert all_steps == pytest.approx(45.0) == pytest.approx(truth.bias_angle)
+    flat = GradientTruth(np.zeros(2), np.ones(2), np.ones(2), 0.0)
+    assert np.isnan(flat.expected_angles(np.array([1.0, 2.0]))).all()
 
 
 @pytest.mark.parametrize("hidden", [(), (1,), (1, 1)])

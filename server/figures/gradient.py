@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from hebbviz.learner import Learner
 from hebbviz.task import Task
+from hebbviz.truth import GradientTruth, angle_between
 from server import palette
 from server.experiments import Curves, Plan
 from server.figures.scales import scales, spaced
@@ -27,7 +28,6 @@ from sims.lamps import Lamps, small_example
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hebbviz.chain import Chain
     from server.figures.command import Work
     from server.figures.order import Order
 
@@ -50,14 +50,18 @@ class Watched(Lamps):
     def __init__(self) -> None:
         super().__init__()
         network, self._weights = small_example()
-        self._truth = network.at(self._weights).gradient
+        self._gradient = network.at(self._weights).gradient
 
     def initial_weights(self, draws: Array) -> Array:
         return self._weights.copy()
 
     def evaluate(self, learner: Learner) -> dict[str, Array]:
-        """The angle from Δw, which is γ t times the mean of r z, to ∇η in degrees, (lanes,)."""
-        return {"angle": angles(learner.weights - self._weights[:, None], self._truth)}
+        """The angle from Δw, which is γ t times the mean of r z, to ∇η in degrees, (lanes,).
+
+        90 before the first step, when Δw has no direction.
+        """
+        moved = learner.weights - self._weights[:, None]
+        return {"angle": np.where(moved.any(axis=0), angle_between(self._gradient, moved), 90.0)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,14 +74,6 @@ class Watching(Plan):
         return Watched()
 
 
-def angles(estimates: Array, truth: Array) -> Array:
-    """Degrees between `truth` (K,) and each of the estimates (K, n); 90 for one that is zero."""
-    lengths = np.linalg.norm(estimates, axis=0) * np.linalg.norm(truth)
-    cosine = (truth @ estimates) / np.where(lengths > 0.0, lengths, 1.0)
-    degrees: Array = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    return degrees
-
-
 def make(order: Order, work: Work) -> Sheet:
     """Default 16 estimates of 10⁷ steps; quick 4 of 10⁵."""
     lanes = order.lanes or (4 if order.quick else 16)
@@ -86,9 +82,10 @@ def make(order: Order, work: Work) -> Sheet:
     found = work.curves(plans)
     each = len(plans) // len(BETAS)
     network, weights = small_example()
-    chain = network.at(weights)
+    truths = [network.world.truth(weights, network.topology, beta) for beta in BETAS]
     courses = [
-        _course(beta, found[k * each : (k + 1) * each], chain) for k, beta in enumerate(BETAS)
+        _course(beta, found[k * each : (k + 1) * each], truth)
+        for k, (beta, truth) in enumerate(zip(BETAS, truths, strict=True))
     ]
     with look():
         figure = _draw(courses, lanes)
@@ -121,16 +118,14 @@ class _Course:
     expected: Array
 
 
-def _course(beta: float, curves: list[Curves], chain: Chain) -> _Course:
+def _course(beta: float, curves: list[Curves], truth: GradientTruth) -> _Course:
     """The scales joined, at points that are about equally far apart on a logarithmic axis."""
     steps = np.concatenate([c.evaluated_at[1:] for c in curves])
     angle = np.concatenate([c.figures["angle"][:, 1:] for c in curves], axis=1)
     steps, at = np.unique(steps, return_index=True)
     chosen = spaced(steps, 12)
     steps, angle = steps[chosen], angle[:, at[chosen]]
-    bias = float(angles(chain.biased_gradient(beta)[:, None], chain.gradient)[0])
-    cosines = [chain.expected_cosine(beta, steps=float(t)) for t in steps]
-    return _Course(beta, steps, angle, bias, np.degrees(np.arccos(cosines)))
+    return _Course(beta, steps, angle, truth.bias_angle, truth.expected_angles(steps))
 
 
 def _table(courses: list[_Course]) -> Table:
