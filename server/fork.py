@@ -18,6 +18,7 @@ from hebbviz.moments import Frame
 from server.commands import Change, Logged, SetBeta, SetGamma
 from server.history import Curve, Totals
 from server.run import Run
+from server.tape import Moment
 
 BETA, GAMMA, NO_MEMORY, NO_REWARD, OTHER_REWARD = (
     "another β", "another γ", "β = 0", "no reward", "reward of another run",
@@ -62,6 +63,8 @@ class Fork:
             self._differs = SetBeta(difference.value or 0.0)
         if difference.kind == GAMMA:
             self._differs = SetGamma(difference.value or 0.0)
+        self.tape = run.tape.until(self.start)
+        self.keep()
         if self._differs is not None:
             self._make(self._differs)
 
@@ -79,6 +82,15 @@ class Fork:
     def _make(self, change: Change) -> None:
         change.apply(self.learner)
         self.log.append(Logged(self.learner.step, change))
+
+    def keep(self) -> None:
+        """Put this moment on the tape."""
+        self.tape.add(Moment(self.learner.keyframe(), len(self.log)))
+
+    @property
+    def can_be_made_again(self) -> bool:
+        """Whether the log tells all: rewards that were left out or another's are not in it."""
+        return self.difference.kind not in (NO_REWARD, OTHER_REWARD)
 
     def look_at(self, lane: int) -> None:
         """Show another lane."""

@@ -6,7 +6,7 @@ be made again. Followers are told everything, and may have the run's stretches c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -228,12 +228,18 @@ class Run:
         """Make the run again from a moment of it, with no change that came after `until`."""
         return Replay(self, moment, until)
 
-    def become(self, learner: Learner, history: History, log: Sequence[Logged], words: str) -> None:
-        """Go on with another learner of the same making; can be undone."""
+    def become(
+        self, learner: Learner, *, history: History, log: list[Logged], tape: Tape | None,
+        words: str,
+    ) -> None:  # fmt: skip
+        """Go on with another learner of the same making; can be undone. With no tape its past
+        cannot be made again.
+        """
         self._remember(words)
         self._leap(words)
-        self.learner, self.history, self.log = learner, history, list(log)
-        self.tape, self.stored = _new_tape(learner, len(self.log)), None
+        self.learner, self.history, self.log = learner, history, log
+        self.tape = _new_tape(learner, len(log)) if tape is None else tape
+        self.stored = None
 
     @property
     def undo_words(self) -> str | None:

@@ -233,6 +233,8 @@ class Worker(threading.Thread):
         passed, recorded = computed if self._rate() is None else seconds, moment.lane_size
         if self._pace.is_due(computed, passed, recorded):
             self._run.keep()
+            if self._fork is not None:
+                self._fork.keep()
 
     def _follow(self) -> None:
         """Let the other copy of a fork make as many steps; where it cannot, the fork ends."""
@@ -487,8 +489,11 @@ class Worker(threading.Thread):
             raise ValueError("there is no fork to end")
         fork, self._fork = self._fork, None
         if keep_other:
-            words = f"keeping the copy with {fork.difference}"
-            self._run.become(fork.learner, fork.history, fork.log, words)
+            self._run.become(
+                fork.learner, history=fork.history, log=fork.log,
+                tape=fork.tape if fork.can_be_made_again else None,
+                words=f"keeping the copy with {fork.difference}",
+            )  # fmt: skip
             self._renew()
 
     def _evaluate(self) -> None:

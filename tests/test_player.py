@@ -294,6 +294,26 @@ def test_a_fork_differs_in_one_thing_alone(kind: str) -> None:
     assert [t.steps for t in fork.history.edges()] == [t.steps for t in run.history.edges()]
 
 
+@pytest.mark.parametrize("kind", [BETA, GAMMA, NO_MEMORY])
+def test_any_step_of_a_copy_that_is_kept_is_shown_as_it_was(kind: str) -> None:
+    run = new_run()
+    fork = Fork(run, Difference(kind, None if kind == NO_MEMORY else 0.02))
+    copies = {}
+    for step in range(STEP + 100, STEP + 600, 100):
+        run.advance(100)
+        fork.follow(step)
+        copies[step] = fork.learner.keyframe().digest()
+        if step % 200 == 0:
+            fork.keep()
+    run.become(fork.learner, history=fork.history, log=fork.log, tape=fork.tape, words="kept")
+    player = Player(run)
+    for step, digest in copies.items():
+        player.seek(step)
+        assert player.replay.learner.keyframe().digest() == digest
+    player.seek(700)
+    assert same_learner(player.replay.learner, straight("pendulum", 700))
+
+
 def test_a_fork_that_differs_in_nothing_is_the_same_run() -> None:
     run = new_run()
     fork = Fork(run, Difference(BETA, run.learner.beta))
