@@ -272,13 +272,10 @@ class Learner:
     def set_rule(self, rule: Rule) -> None:
         """Go on with another rule, or other parameters of it, its memory empty.
 
-        Raises ValueError if it needs more lanes, or cannot be compiled; nothing has happened then.
+        Raises ValueError if it needs more or fewer lanes, or cannot be compiled; nothing has
+        happened then.
         """
-        if self.lanes < rule.least_lanes:
-            raise ValueError(
-                f"rule {rule.name} needs {rule.least_lanes} lanes or more, this learner has "
-                f"{self.lanes}"
-            )
+        rule.check_lanes(self.lanes)
         for tile in self._tiles:
             tile.set_rule(rule)
         self._rule = rule

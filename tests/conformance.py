@@ -288,7 +288,7 @@ def check_rule(rule: Rule, make_task: MakeTask) -> None:
     assert other.rule == rule, "a moment brings its rule"
     other.skip(steps - other.step)
     assert same_learner(whole, other), "a run goes on differently from a keyframe"
-    if rule.least_lanes == 1:
+    if not rule.lanes_touch:
         alone = Learner(make_task(), rule=rule, seed=3, first_lane=1)
         alone.advance(steps)
         assert np.array_equal(alone.network[:, 0], whole.network[:, 1], equal_nan=True)

@@ -21,7 +21,10 @@ from hebbviz.rules.baseline import Baseline
 from hebbviz.rules.paper import Paper
 from hebbviz.rules.yoked import Yoked
 from server.commands import Reset, SetBeta, SetFall, SetRule
+from server.experiments import Plan
+from server.experiments.run import _completed
 from server.fork import KINDS, Difference, Fork
+from server.recording.header import check_recordable
 from server.recording.reader import open_recording
 from server.recording.recorder import Recorder
 from server.recording.recordings import Options, Recordings
@@ -225,6 +228,64 @@ def test_one_lane_cannot_be_yoked():
     with pytest.raises(ValueError, match="yoked"):
         learner.set_rule(Yoked())
     assert learner.rule == Paper()
+
+
+def test_more_lanes_than_are_stepped_together_cannot_be_yoked():
+    """The last of a tile would be sent the reward of its first."""
+    learner = Learner(Lamps(), rule=Yoked(), lanes=64, seed=1)
+    learner.advance(1)
+    raw, sent = learner._read("reward")
+    assert np.array_equal(sent, np.roll(raw, -1))
+    words = r"^rule yoked lets lanes touch [^\n]* at most 64 lanes, this learner has 67$"
+    with pytest.raises(ValueError, match=words):
+        Learner(Lamps(), rule=Yoked(), lanes=67)
+    learner = Learner(Lamps(), lanes=67)
+    moment = learner.keyframe()
+    with pytest.raises(ValueError, match=words):
+        learner.set_rule(Yoked())
+    with pytest.raises(ValueError, match=words):
+        learner.restore(replace(moment, rule=Yoked()))
+    assert learner.rule == Paper()
+    assert learner.keyframe().digest() == moment.digest()
+
+
+@dataclass(frozen=True)
+class Among(Rule):
+    """The reward less the mean over the lanes. One lane will do, though nothing is sent there."""
+
+    name = "among"
+    summary = "how much better than the other lanes"
+    lanes_touch = True
+
+    @staticmethod
+    def modulate(memory, constants, reward, ended, sent):
+        mean = reward.mean()
+        for lane in range(len(reward)):
+            sent[lane] = reward[lane] - mean
+
+
+class Apart(Among):
+    """Does not say that lanes touch each other."""
+
+    lanes_touch = False
+
+
+def test_lanes_touch_each_other_whatever_the_least_of_them(monkeypatch):
+    """They are not cut up, and none is recorded."""
+    monkeypatch.setattr(rules, "_own", {"among": Among})
+    options = {"rule": "among"}
+    plan = Plan(task="lamps", lanes=60, segments=1, segment_steps=40, options=options)
+    assert [(t.first_lane, t.lanes) for t in _completed(plan, [], 5)] == [(0, 60)]
+    with pytest.raises(ValueError, match="under rule among is no run of its own"):
+        check_recordable(Among())
+
+
+def test_a_rule_that_hides_that_lanes_touch_each_other_is_found(monkeypatch):
+    monkeypatch.setattr(rules, "_own", {"among": Among})
+    check_rule(Among(), Lamps)
+    monkeypatch.setattr(rules, "_own", {"among": Apart})
+    with pytest.raises(AssertionError):
+        check_rule(Apart(), Lamps)
 
 
 # A γ that falls

@@ -22,6 +22,8 @@ from numba import cfunc, njit, types
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
+from hebbviz.layout import WIDTHS
+from hebbviz.limits import MOST_LANES
 from hebbviz.task import Reading
 
 Array = NDArray[np.float64]
@@ -52,6 +54,8 @@ class Rule:
     memory: ClassVar[tuple[Reading, ...]] = ()
     """What it keeps: a name and a unit for each row of its memory."""
     least_lanes: ClassVar[int] = 1
+    lanes_touch: ClassVar[bool] = False
+    """Whether what a lane is sent depends on other lanes; no lane is a run of its own then."""
 
     def __post_init__(self) -> None:
         for f in dataclasses.fields(self):
@@ -63,13 +67,32 @@ class Rule:
 
     @staticmethod
     def modulate(memory: Any, constants: Any, reward: Any, ended: Any, sent: Any) -> None:
-        """One step of all lanes; compiled by numba, so in the part of Python that it knows.
+        """One step of all lanes of a tile, that is of all there are if `lanes_touch`; compiled by
+        numba, so in the part of Python that it knows.
 
         `memory` (rows, lanes) is zero at first and is changed in place; `constants` (parameters,)
         holds the parameters in the order of the fields; `reward` (lanes,) is r of the task,
         `ended` (lanes,) 1 where an episode ended. It writes m into `sent` (lanes,).
         """
         raise NotImplementedError
+
+    @classmethod
+    def most_lanes(cls) -> int:
+        """Where lanes touch each other, as many as are stepped together."""
+        return WIDTHS[-1] if cls.lanes_touch else MOST_LANES
+
+    @classmethod
+    def check_lanes(cls, lanes: int) -> None:
+        """Raise ValueError unless the rule can work in so many lanes."""
+        if lanes < cls.least_lanes:
+            raise ValueError(
+                f"rule {cls.name} needs {cls.least_lanes} lanes or more, this learner has {lanes}"
+            )
+        if lanes > cls.most_lanes():
+            raise ValueError(
+                f"rule {cls.name} lets lanes touch each other, so all must be stepped together: "
+                f"take at most {cls.most_lanes()} lanes, this learner has {lanes}"
+            )
 
     @property
     def constants(self) -> Array:

@@ -14,11 +14,14 @@ from hebbviz.rules import Rule
 
 @dataclass(frozen=True)
 class Yoked(Rule):
-    """Needs two lanes. (Of one lane, fork the run in the page with 'reward of another run'.)"""
+    """Needs two lanes, and takes no more than are stepped together, 64. (Of one lane, fork the run
+    in the page with 'reward of another run'.)
+    """
 
     name = "yoked"
     summary = "the reward of another run, a control that must not learn"
     least_lanes = 2
+    lanes_touch = True
 
     @staticmethod
     def modulate(memory: Any, constants: Any, reward: Any, ended: Any, sent: Any) -> None:

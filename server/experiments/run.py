@@ -169,7 +169,7 @@ def _completed(plan: Plan, kept: Sequence[Tile], pieces: int) -> list[Tile]:
 
     Where its rule lets lanes touch each other, all of them are one tile.
     """
-    if plan.rule().least_lanes > 1:
+    if plan.rule().lanes_touch:
         return list(kept) or [Tile(plan.first_lane, plan.lanes)]
     tiles: list[Tile] = []
     lane, end = plan.first_lane, plan.first_lane + plan.lanes

@@ -118,7 +118,7 @@ def known_rule(spec: str) -> Rule:
 
 def check_recordable(rule: Rule) -> None:
     """Raise ValueError for a rule under which a lane alone, as it is recorded, is no run."""
-    if rule.least_lanes > 1:
+    if rule.lanes_touch:
         raise ValueError(
             f"a recording holds one lane, which under rule {rule.name} is no run of its own: "
             "record under another rule"
