@@ -1,25 +1,19 @@
 """How functions are compiled here: cached on disk, strict IEEE arithmetic, without the GIL.
 
-No `fastmath` and no check for division by zero. numba notices a change in the file of a cached
-function, but not in the files of the functions it calls; so the cache of every function here is
-bound to the text of all kernel files together.
+No `fastmath` and no check for division by zero. What is cached is bound to all it was made of, see
+`stamp`: where any of that has changed, it is compiled anew.
 """
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-from numba import cfunc, njit, types
+from numba import njit, types
+from numba.core.ccallback import CFunc
 from numba.extending import intrinsic
 
-_KERNELS = (
-    "compiled.py", "chance.py", "squashing.py", "layout.py", "rule.py", "written.py", "engine.py",
-)  # fmt: skip
-_HERE = Path(__file__).parent
-_STAMP = tuple(zlib.crc32((_HERE / name).read_bytes()) for name in _KERNELS)
+from hebbviz.stamp import stamp
 
 INLINED: Any = {
     "forceinline": True, "error_model": "numpy",
@@ -32,18 +26,33 @@ C would need to call it is left out: a third of the time to compile went into th
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """For a function that Python calls."""
+    """For a function that Python calls, or one of a task that is too large to be `inlined`."""
     dispatcher: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
-    dispatcher._cache._cache_file._source_stamp = _STAMP  # noqa: SLF001
+    _bind(dispatcher, function)
     return dispatcher
 
 
-def called(signature: Any) -> Any:
-    """For a function of a task that compiled functions call by its address, and that allocates no
-    array: references to those it is given are not counted, which would cost more than a small
-    world's step does.
+def called(signature: Any, *, allocates: bool = False) -> Callable[[Callable[..., Any]], Any]:
+    """For a function that compiled functions call by its address.
+
+    Unless it `allocates` arrays, references to those it is given are not counted, which would
+    cost more than a small world's step does.
     """
-    return _cfunc(signature, cache=True, _nrt=False)
+    options = {} if allocates else {"_nrt": False}
+
+    def compile_now(function: Callable[..., Any]) -> Any:
+        """What `numba.cfunc` does, which has no place to say what the cache is bound to."""
+        callback: Any = CFunc(function, (signature.args, signature.return_type), {}, options)
+        callback.enable_caching()
+        _bind(callback, function)
+        callback.compile()
+        return callback
+
+    return compile_now
+
+
+def _bind(cached: Any, function: Callable[..., Any]) -> None:
+    cached._cache._cache_file._source_stamp = stamp(function)  # noqa: SLF001
 
 
 _WIDEST_VECTORS = '"prefer-vector-width"="512"'
@@ -51,8 +60,7 @@ _WIDEST_VECTORS = '"prefer-vector-width"="512"'
 float32 took 1.6 times as long. The others take it for the widest they have.
 """
 
-_cfunc: Any = cfunc
-_intrinsic: Any = intrinsic  # numba gives them types that know little of how they are called
+_intrinsic: Any = intrinsic  # numba gives it a type that knows little of how it is called
 
 
 @_intrinsic

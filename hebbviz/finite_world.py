@@ -13,11 +13,10 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hebbviz.chance import WORLD, four_uniforms
-from hebbviz.compiled import called
+from hebbviz.compiled import called, compiled
 from hebbviz.engine import WORLD as WORLD_SIGNATURE
 from hebbviz.exact import ExactNetwork
 from hebbviz.limits import check_places
@@ -39,7 +38,7 @@ LARGEST_PAST = 2**53
 """Whole numbers up to here are exact in float64."""
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _drawn(data, row, count, draw):  # type: ignore[no-untyped-def]
     """The first place in a row of sums that is above the draw."""
     for k in range(count - 1):

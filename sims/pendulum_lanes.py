@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hebbviz.chance import NEXT_EPISODE, four_uniforms
-from hebbviz.compiled import called, inlined, row
+from hebbviz.compiled import called, compiled, inlined, row
 from hebbviz.engine import WORLD
 from hebbviz.task import CompiledTask
 from sims.pendulum import SEEN, Pendulum
@@ -46,7 +45,7 @@ def _move(world, width, action):  # type: ignore[no-untyped-def]
         )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _bounce(state):  # type: ignore[no-untyped-def]
     """Off the walls that the puck of a state (numbers,) has come too near to, in place."""
     for axis in range(2):

@@ -15,11 +15,10 @@ from functools import cache
 from importlib.resources import files
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hebbviz.chance import WORLD, Draws, four_uniforms
-from hebbviz.compiled import called, inlined, row
+from hebbviz.compiled import called, compiled, inlined, row
 from hebbviz.engine import WORLD as WORLD_SIGNATURE
 from hebbviz.layout import WIDTHS
 from hebbviz.learner import Learner
@@ -63,7 +62,7 @@ def load() -> Array:
     return data
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _shuffle(world, lane, seed, number, step):  # type: ignore[no-untyped-def]
     """Fisher-Yates over the training patterns, with the world's draws of this step."""
     for place in range(np.int64(world[_LENGTH, lane]) - 1, 0, -1):
@@ -94,12 +93,12 @@ def _judge(world, width, data, action, reward):  # type: ignore[no-untyped-def]
     return over > 0
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _judge_one(world, data, action):  # type: ignore[no-untyped-def]
     return _judge(world, 1, data, action, np.empty(1))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _turn(world, lane, data, seed, number, step):  # type: ignore[no-untyped-def]
     """Go to the next pattern, shuffling each epoch."""
     world[_TICK, lane] = 0.0

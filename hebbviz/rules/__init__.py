@@ -18,10 +18,11 @@ from importlib import import_module
 from typing import Any, ClassVar
 
 import numpy as np
-from numba import cfunc, njit, types
+from numba import njit, types
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
+from hebbviz.compiled import called
 from hebbviz.layout import WIDTHS
 from hebbviz.limits import MOST_LANES
 from hebbviz.task import Reading
@@ -117,7 +118,8 @@ class Rule:
 
 @cache
 def _compiled(modulate: Any) -> tuple[Any, Any]:
-    return cfunc(MODULATE, cache=True)(modulate), njit(modulate)  # two caches of one would clash
+    inner = called(MODULATE, allocates=True)(modulate)
+    return inner, njit(modulate)  # two caches of one would clash
 
 
 def _shortest(value: float) -> str:
