@@ -156,11 +156,7 @@ def engine(width: int) -> Engine:
         """All that follows the answer of a world stepped by Python.
 
         `sent` (width) is what is broadcast of the reward.
-
-        Returns False, and changes nothing, if an observation or a reward is not finite.
         """
-        if not (np.isfinite(observation).all() and np.isfinite(reward).all()):
-            return False
         _broadcast(state, table, width, totals, reward, sent, ended)
         rule.reinforce(state, table, width)
         if watch >= 0:
@@ -169,7 +165,6 @@ def engine(width: int) -> Engine:
                 extremes, probes,
             )  # fmt: skip
         rule.hold(state, table, width, observation)
-        return True
 
     @compiled
     def run(  # type: ignore[no-untyped-def]
@@ -256,3 +251,16 @@ def probabilities(potentials):  # type: ignore[no-untyped-def]
         for k in range(potentials.shape[1]):
             out[i, k] = sigmoid(potentials[i, k])
     return out
+
+
+@compiled
+def are_finite(observation, reward, lanes):  # type: ignore[no-untyped-def]
+    """Whether the first `lanes` of (inputs, width) and of (width,) are."""
+    for lane in range(lanes):
+        if not np.isfinite(reward[lane]):
+            return False
+    for i in range(observation.shape[0]):
+        for lane in range(lanes):
+            if not np.isfinite(observation[i, lane]):
+                return False
+    return True

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,9 +48,10 @@ Array = NDArray[np.float64]
 EVALUATION_STEP = 2**40
 """Frozen copies count their steps from here, so that they draw other numbers than the learner."""
 
-
 class TaskError(Exception):
-    """A task raised or broke its contract in mid-run; the learner is at the step before."""
+    """A task raised or broke its contract in mid-run. The learner is at the step before; where the
+    task is compiled, at the step it was at before the call.
+    """
 
 
 class Learner:
@@ -134,7 +135,8 @@ class Learner:
         `closely`: potentials and the world's state of every step too. `reward` (steps,): what
         every synapse is sent in place of the task's reward, for controls and comparisons.
 
-        Raises TaskError if the task fails; the learner is then at the end of the last good step.
+        Raises TaskError if the task fails; the learner is then at the end of the last good step,
+        of a compiled task where it was before.
         """
         start = self.step
         notes = Notes.of(check_steps(steps), self.topology.neurons, self._numbers_if(closely))
@@ -168,45 +170,61 @@ class Learner:
 
     def _run(self, steps: int, watch: int, notes: Notes, instead: Array) -> None:
         if isinstance(self.task, CompiledTask):
-            for tile, _ in self._cut:
-                tile.run(
-                    steps, self.step, self.task.answer, self._data, instead=instead,
-                    watch=self._seen_in(tile, watch), notes=notes, sums=self._sums,
-                )  # fmt: skip
+            self._keep()
+            try:
+                for tile in self._tiles:
+                    tile.run(
+                        steps, self.step, self.task.answer, self._data, instead=instead,
+                        watch=self._seen_in(tile, watch), notes=notes, sums=self._sums,
+                    )  # fmt: skip
+            except BaseException as error:
+                self._fail(error)
             self.step += steps
         else:
             for row in range(steps):
                 self._step_python(row, watch, notes, instead)
 
     def _step_python(self, row: int, watch: int, notes: Notes, instead: Array) -> None:
-        """One step of a world in Python; if the world fails, nothing has happened."""
-        if self.step % FALL_EVERY == 0 and self._fall < math.inf:
-            self._put_gamma()
-        actions = [tile.respond(self.step) for tile in self._tiles]
+        """One step of a world in Python."""
+        self._keep()
         try:
-            states = [
-                self._answer(tile, k, action[:, k])
-                for tile, action in zip(self._tiles, actions, strict=True)
-                for k in range(tile.lanes)
-            ]
+            if self.step % FALL_EVERY == 0 and self._fall < math.inf:
+                self._put_gamma()
+            states = []
+            for tile in self._tiles:
+                action = tile.respond(self.step)
+                states += [self._answer(tile, k, action[:, k]) for k in range(tile.lanes)]
             self._set_clamps(states)
             for tile, lanes in self._cut:
-                accepted = tile.settle(
-                    [self._see(state) for state in states[lanes]], row, instead=instead,
-                    watch=self._seen_in(tile, watch), notes=notes, sums=self._sums,
-                )  # fmt: skip
-                if not accepted:
-                    raise ValueError("an observation or a reward is not a finite number")
-        except BaseException as error:
+                tile.hear([self._see(state) for state in states[lanes]])
             for tile in self._tiles:
-                tile.back()
-            if not isinstance(error, Exception):  # Ctrl-C
-                raise
-            raise _task_error(self.task, error) from error
+                tile.settle(
+                    row, instead=instead, watch=self._seen_in(tile, watch), notes=notes,
+                    sums=self._sums,
+                )  # fmt: skip
+        except BaseException as error:
+            self._fail(error)
         if len(notes.worlds):
             notes.worlds[row] = states[watch]
         self._states = states
         self.step += 1
+
+    def _keep(self) -> None:
+        """Remember this moment."""
+        for tile in self._tiles:
+            tile.keep()
+        for kept, now in self._kept:
+            np.copyto(kept, now)
+
+    def _fail(self, error: BaseException) -> NoReturn:
+        """Go back to the moment that was kept, and tell of what came after it."""
+        for tile in self._tiles:
+            tile.back()
+        for kept, now in self._kept:
+            np.copyto(now, kept)
+        if not isinstance(error, Exception):  # Ctrl-C
+            raise error
+        raise _task_error(self.task, error) from error
 
     def _seen_in(self, tile: Tile, lane: int) -> int:
         """Which of a tile's lanes is the watched one, NOBODY if it is another's."""
@@ -556,6 +574,11 @@ class Learner:
             tile.put(name, values if np.ndim(values) == 0 else np.asarray(values)[:, lanes])
 
     def _check_fit(self) -> None:
+        if isinstance(self.task, CompiledTask) and type(self.task).clamps is not Task.clamps:
+            raise ValueError(
+                f"task {self.task.name!r} is compiled, so its clamps are not asked for at each "
+                "step: leave them out, or make it a Task"
+            )
         inputs, outputs = len(self.task.inputs), len(self.task.outputs)
         if self.topology.inputs != inputs:
             raise ValueError(
@@ -635,6 +658,7 @@ class Learner:
             np.zeros(self.topology.neurons, dtype=np.int64), extremes,
             np.array(rows, dtype=np.int64).reshape(-1, 4),
         )  # fmt: skip
+        self._kept = [(np.empty_like(now), now) for now in self._sums[:2]]
 
 
 def _numbers(state: Array) -> Array:

@@ -340,6 +340,11 @@ class CompiledTask(Task):
 
     `answer` is a function compiled with the signature `engine.WORLD`. It must do what the
     methods of the task do, to the bit; the conformance suite compares them.
+
+    There are no `clamps`, which compiled code does not ask for; a `Learner` refuses a task that has
+    some. Whether rewards and inputs are finite is looked at after all the steps of a call. If one
+    is not, TaskError is raised and the learner is where it was before the call; only an input that
+    was not finite in between and is so at the end goes unseen.
     """
 
     answer: ClassVar[Any]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hebbviz import held
 from hebbviz.chance import SPIKES, uniforms
-from hebbviz.engine import FALL_EVERY, engine, probabilities, written_out
+from hebbviz.engine import FALL_EVERY, are_finite, engine, probabilities, written_out
 from hebbviz.layout import NEURON, WIDTHS, Layout, aligned, width_for
 from hebbviz.rules import Rule
 from hebbviz.rules.paper import PAPER
@@ -89,7 +89,7 @@ class Tile:
         self._stands_for = np.minimum(np.arange(self.width), lanes - 1)
         self._clamped = False
         self._responded: int | None = None
-        self._responded_before: int | None = None
+        self._was: tuple[bool, int | None] = (False, None)
 
     # The rule
 
@@ -98,8 +98,7 @@ class Tile:
         (self._modulate, self._modulate_now), self._constants = rule.compiled(), rule.constants
         self._modulated = np.zeros(0 if rule == PAPER else self.width)
         self.memory = np.zeros((len(rule.memory), self.lanes))
-        arrays = (self.network, self.totals, self.memory)
-        self._kept = [(np.empty_like(array), array) for array in arrays if array.size]
+        self._make_room()
 
     # Its numbers
 
@@ -194,12 +193,16 @@ class Tile:
         """The state of a compiled world, (numbers, lanes)."""
         self.world = aligned(len(world), self.width)
         self.world[:] = self._to_width(world)
+        self._make_room()
 
     def run(
         self, steps: int, start: int, answer: Any, data: Array, *, instead: Array, watch: int,
         notes: Notes, sums: Sums,
     ) -> None:  # fmt: skip
-        """`steps` steps of a compiled world, the first of them number `start`."""
+        """`steps` steps of a compiled world, the first of them number `start`.
+
+        Raises ValueError if what the world answered is not finite.
+        """
         if self._written_out is None or watch != NOBODY or self._clamped or steps < _LONG:
             self._run(steps, start, answer, data, instead, watch, notes, sums)
         else:
@@ -209,6 +212,7 @@ class Tile:
             self._run(1, start + steps - 1, answer, data, instead[last], watch, notes, sums)
         if steps > 0:
             self._responded = start + steps - 1
+        self._check_answer(self.totals[0])
 
     def _run(
         self, steps: int, start: int, answer: Any, data: Array, instead: Array, watch: int,
@@ -234,9 +238,6 @@ class Tile:
 
     def respond(self, step: int) -> Array:
         """What the outputs do at this step of a world in Python, (outputs, lanes)."""
-        for kept, now in self._kept:
-            np.copyto(kept, now)
-        self._responded_before = self._responded
         self._engine.respond(
             self.network, self.layout.table, self._keys, step, *self.layout.topology.activity,
             self._clamped,
@@ -244,16 +245,21 @@ class Tile:
         self._responded = step
         return self.network[self._output, : self.lanes].astype(np.float64)
 
-    def settle(
-        self, observation: Sequence[Array], row: int, *, instead: Array, watch: int, notes: Notes,
-        sums: Sums,
-    ) -> bool:  # fmt: skip
-        """All that follows the world's answer, which is in `reward` and `ended` besides.
+    def hear(self, observation: Sequence[Array]) -> None:
+        """What the world shows each lane, where `reward` and `ended` are its answer already.
 
-        False if it is not finite; nothing has happened then but the response.
+        Raises ValueError if it is not finite.
         """
         for lane, seen in enumerate(observation):
             self._observed[:, lane] = seen
+        self._check_answer(self.reward)
+
+    def _check_answer(self, rewards: Array) -> None:
+        if not are_finite(self._observed, rewards, self.lanes):
+            raise ValueError("an observation or a reward is not a finite number")
+
+    def settle(self, row: int, *, instead: Array, watch: int, notes: Notes, sums: Sums) -> None:
+        """All that follows the world's answer."""
         sent = self.reward
         if len(self._modulated):
             sent, lanes = self._modulated, slice(self.lanes)
@@ -262,15 +268,26 @@ class Tile:
             )
         if len(instead):
             sent = np.full(self.width, instead[row])
-        accepted: bool = self._engine.settle(
+        self._engine.settle(
             self.network, self.layout.table, self.layout.topology.activity[1], self.totals,
             self._observed, self.reward, sent, self.ended, watch, row, *notes[:3], *sums,
         )  # fmt: skip
-        return accepted
+
+    # Going back
+
+    def keep(self) -> None:
+        """Remember this moment."""
+        for kept, now in self._kept:
+            np.copyto(kept, now)
+        self._was = self._clamped, self._responded
 
     def back(self) -> None:
-        """As it was before `respond`."""
+        """As it was when it was last kept."""
         for kept, now in self._kept:
             np.copyto(now, kept)
-        self._responded = self._responded_before
+        self._clamped, self._responded = self._was
         self._look_again()
+
+    def _make_room(self) -> None:
+        arrays = (self.network, self.totals, self.memory, self.world)
+        self._kept = [(np.empty_like(array), array) for array in arrays if array.size]

@@ -68,6 +68,8 @@ def check_attributes(make_task: MakeTask) -> None:
     assert task.weight_range >= 0
     assert task.measure.name
     assert task.measure.key.isidentifier()
+    if isinstance(task, CompiledTask):
+        assert type(task).clamps is Task.clamps, "a compiled task has no clamps"
     topology = task.topology()
     assert topology.inputs == len(task.inputs)
     assert topology.group(topology.output).size == len(task.outputs)

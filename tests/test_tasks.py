@@ -5,10 +5,21 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from conformance import CHECKS, MakeTask, check_evaluation, same_learner
+from conformance import (
+    CHECKS,
+    MakeTask,
+    check_attributes,
+    check_compiled,
+    check_evaluation,
+    same_learner,
+)
 
+from hebbviz import chance
+from hebbviz.chance import Draws, four_uniforms
+from hebbviz.compiled import called
+from hebbviz.engine import WORLD
 from hebbviz.learner import Learner, TaskError
-from hebbviz.task import Control, Input, Output, Preset, Task
+from hebbviz.task import CompiledTask, Control, Input, Output, Preset, Task
 from sims import TASKS
 from sims.loading import make_task
 
@@ -117,52 +128,68 @@ class NamesTwice(Good):
 
 
 class Breaks(Good):
-    """Good for 50 steps."""
+    """Good for 50 steps; then not, in one lane of seed 0."""
 
-    def __init__(self, how):
+    def __init__(self, how, lane=0):
         super().__init__()
-        self.how = how
+        self.how, self.lane = how, lane
+
+    def breaks(self, state, how, step=51):
+        """Whether it does so in this way, in a state it came into at that step."""
+        mine = [step, Draws(0, self.lane, step - 1)(1)[0]]
+        return self.how == how and state[::2].tolist() == mine
 
     def transition(self, state, action, draws):
-        if state[0] == 50.0 and self.how == "raises":
+        if self.breaks(state, "raises", 50):
             raise RuntimeError("the second line\nis not told")
-        if state[0] == 50.0 and self.how == "shape":
+        if self.breaks(state, "shape", 50):
             return np.zeros(4)
-        if state[0] == 50.0 and self.how == "nothing":
+        if self.breaks(state, "nothing", 50):
             return None
         return super().transition(state, action, draws)
 
     def observation(self, state):
-        if state[0] == 51.0 and self.how == "infinite input":
+        if self.breaks(state, "infinite input"):
             return np.array([np.inf])
-        if state[0] == 51.0 and self.how == "input shape":
+        if self.breaks(state, "input shape"):
             return np.zeros(2)
         return super().observation(state)
 
     def reward(self, state):
-        if state[0] == 51.0 and self.how == "no number":
+        if self.breaks(state, "no number"):
             return "much"
-        return np.nan if state[0] == 51.0 and self.how == "nan reward" else super().reward(state)
+        return np.nan if self.breaks(state, "nan reward") else super().reward(state)
 
     def clamps(self, state):
-        if state[0] == 51.0 and self.how == "clamps":
-            return np.zeros(1)
-        return None
+        return np.zeros(7) if self.breaks(state, "clamps") else super().clamps(state)
 
     def ended(self, state):
-        if state[0] == 51.0 and self.how == "ended":
+        if self.breaks(state, "ended"):
             raise KeyError(state[0])
         return False
 
 
-@pytest.mark.parametrize("lanes", [1, 2])
+class Forced(Good):
+    """All neurons are made to fire at every other step: after the 50th, but not after the 51st."""
+
+    def clamps(self, state):
+        return np.full(9, np.nan if state[0] % 2 else 1.0)
+
+
+class BreaksForced(Breaks, Forced):
+    pass
+
+
+@pytest.mark.parametrize("kinds", [(Good, Breaks), (Forced, BreaksForced)], ids=["free", "forced"])
+@pytest.mark.parametrize("lanes", [1, 2, 66])
 @pytest.mark.parametrize(
     "how",
     ["raises", "shape", "nothing", "infinite input", "input shape", "no number", "nan reward",
      "clamps", "ended"],
 )  # fmt: skip
-def test_a_failure_in_mid_run_changes_nothing(how, lanes):
-    good, breaks = Learner(Good(), lanes=lanes), Learner(Breaks(how), lanes=lanes)
+def test_a_failure_in_mid_run_changes_nothing(how, lanes, kinds):
+    """Of the last lane: what came before it, in another tile too, has not happened."""
+    good, breaks = Learner(kinds[0](), lanes=lanes), Learner(kinds[1](how, lanes - 1), lanes=lanes)
     good.advance(50)
     for failing in (breaks.advance, breaks.skip, breaks.advance):
         with pytest.raises(TaskError, match=r"^task 'good' failed: [^\n]*$"):
@@ -174,8 +201,9 @@ def test_a_failure_in_mid_run_changes_nothing(how, lanes):
     assert same_learner(good, breaks)
 
 
-def test_the_summary_after_a_failure_counts_the_good_steps():
-    good, breaks = Learner(Good()), Learner(Breaks("clamps"))
+@pytest.mark.parametrize(("how", "lanes"), [("clamps", 1), ("infinite input", 66)])
+def test_the_summary_after_a_failure_counts_the_good_steps(how, lanes):
+    good, breaks = Learner(Good(), lanes=lanes), Learner(Breaks(how, lanes - 1), lanes=lanes)
     good.advance(50)
     with pytest.raises(TaskError):
         breaks.advance(100)
@@ -183,6 +211,66 @@ def test_the_summary_after_a_failure_counts_the_good_steps():
     assert since.steps == since.tally.steps == 50
     assert np.array_equal(since.spikes, expected.spikes)
     assert np.array_equal(since.potential_range, expected.potential_range)
+
+
+@called(WORLD)
+def answer(world, action, data, keys, step, observation, reward, ended):
+    """`Good`, compiled; `data` says the step and the lane of which reward and input are what."""
+    for lane in range(world.shape[1]):
+        draw = four_uniforms(keys[0, lane], keys[1, lane], chance.WORLD, step, 0)[0]
+        world[0, lane] += 1.0
+        world[1, lane], world[2, lane] = action[0, lane], draw
+        reward[lane], observation[0, lane] = action[0, lane], draw
+        if step == data[0, 0] and keys[1, lane] == data[0, 1]:
+            reward[lane] += data[0, 2]
+            observation[0, lane] += data[0, 3]
+    return 1
+
+
+class Compiled(Good, CompiledTask):
+    answer = answer
+
+    def __init__(self, preset=None, *, step=-1, lane=0, reward=0.0, seen=0.0):
+        super().__init__(preset)
+        self._data = np.array([[step, lane, reward, seen]])
+
+    def data(self):
+        return self._data
+
+
+@pytest.mark.parametrize("lanes", [1, 66])
+@pytest.mark.parametrize("how", [{"reward": np.nan}, {"reward": -np.inf}, {"seen": np.nan}])
+def test_a_compiled_task_that_fails_takes_back_the_call(how, lanes):
+    """Its last lane answers with no finite number, the input's at the last step."""
+    good = Learner(Compiled(), lanes=lanes)
+    breaks = Learner(Compiled(step=50, lane=lanes - 1, **how), lanes=lanes)
+    good.skip(20)
+    breaks.skip(20)
+    for failing in (breaks.skip, breaks.advance, breaks.advance):
+        with pytest.raises(TaskError, match=r"^task 'good' failed: .* is not a finite number$"):
+            failing(31)
+        assert same_learner(good, breaks)
+    good.advance(30)
+    breaks.advance(30)
+    assert same_learner(good, breaks)
+    expected, since = good.frame().since, breaks.frame().since
+    assert since.tally == expected.tally
+    for name in ("spikes", "potential_range", "weight_change"):
+        assert np.array_equal(getattr(since, name), getattr(expected, name))
+
+
+class Clamping(Forced, Compiled):
+    pass
+
+
+def test_a_compiled_task_with_clamps_is_refused():
+    """They would be asked for at the start alone."""
+    check_attributes(Compiled)
+    check_compiled(Compiled)
+    with pytest.raises(ValueError, match=r"^task 'good' is compiled, so its clamps are not asked"):
+        Learner(Clamping())
+    with pytest.raises(AssertionError, match="has no clamps"):
+        check_attributes(Clamping)
 
 
 class Interrupted(Good):
