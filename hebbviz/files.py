@@ -38,6 +38,13 @@ _MEMORY = "memory"
 """An array more, of a rule that keeps something."""
 
 
+_KINDS = {
+    "task": str, "preset": str, "seed": int, "lanes": int, "first_lane": int, "step": int,
+    "frozen": bool, "dtype": str,
+}  # fmt: skip
+"""What is said of a learner in plain values; their bounds are the learner's to check."""
+
+
 class BadFile(ValueError):
     """A file that is no learner, is damaged, or is of a newer format; the message says which."""
 
@@ -182,16 +189,13 @@ def _header(path: Path, data: dict[str, Any]) -> Header:
         rule = make_rule(str(data.get("rule", PAPER)))
     except ValueError as error:
         raise BadFile(f"{path} was saved with another rule: {error}") from error
+    said = data | {"dtype": data.get("dtype", "float64")}
+    for name, kind in _KINDS.items():
+        if type(said[name]) is not kind:  # a bool is an int besides
+            raise BadFile(f"{path} is damaged: its {name} is {said[name]!r}"[:400])
     return Header(
-        task=str(data["task"]),
-        preset=str(data["preset"]),
         topology=Topology.from_json(data["topology"]),
-        seed=int(data["seed"]),
-        lanes=int(data["lanes"]),
-        first_lane=int(data["first_lane"]),
-        step=int(data["step"]),
-        frozen=bool(data["frozen"]),
         rule=rule,
-        dtype=str(data.get("dtype", "float64")),
         fall=check_fall(fall_from_json(data.get("fall"))),
+        **{name: said[name] for name in _KINDS},
     )

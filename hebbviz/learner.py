@@ -35,6 +35,7 @@ from hebbviz.limits import (
     check_gamma,
     check_lane,
     check_reward,
+    check_step,
     check_steps,
 )
 from hebbviz.moments import Block, Frame, Keyframe, Summary
@@ -47,6 +48,9 @@ Array = NDArray[np.float64]
 
 EVALUATION_STEP = 2**40
 """Frozen copies count their steps from here, so that they draw other numbers than the learner."""
+
+_BELOW_1 = np.nextafter(1.0, 0.0)
+
 
 class TaskError(Exception):
     """A task raised or broke its contract in mid-run. The learner is at the step before; where the
@@ -499,25 +503,10 @@ class Learner:
     def restore(self, keyframe: Keyframe) -> None:
         """Go to a moment of this learner, or of one of the same task and topology, with its rule.
 
-        Raises ValueError if the keyframe's arrays do not fit, or the world cannot be in its state.
+        Raises ValueError if the keyframe's arrays do not fit, the world cannot be in its state, or
+        a number is out of range; nothing has happened then.
         """
-        shape = (self.layout.packed[SECTIONS[-1]].stop, self.lanes)
-        if keyframe.network.shape != shape:
-            raise ValueError(
-                f"a keyframe of this network has shape {shape}, got {keyframe.network.shape}"
-            )
-        if keyframe.world.shape != self.world.shape:
-            raise ValueError(
-                f"a keyframe of this task has a world of shape {self.world.shape}, "
-                f"got {keyframe.world.shape}"
-            )
-        self.task.check_states(keyframe.world.T)
-        remembered = (len(keyframe.rule.memory), self.lanes)
-        if keyframe.memory.shape != remembered:
-            raise ValueError(
-                f"a keyframe of rule {keyframe.rule} has a memory of shape {remembered}, "
-                f"got {keyframe.memory.shape}"
-            )
+        self._check_keyframe(keyframe)
         self.set_rule(keyframe.rule)
         self.step = keyframe.step
         np.copyto(self._gamma, keyframe.gamma)
@@ -572,6 +561,28 @@ class Learner:
     def _put(self, name: str, values: Array | float) -> None:
         for tile, lanes in self._cut:
             tile.put(name, values if np.ndim(values) == 0 else np.asarray(values)[:, lanes])
+
+    def _check_keyframe(self, keyframe: Keyframe) -> None:
+        remembered = (len(keyframe.rule.memory), self.lanes)
+        for what, array, shape in (
+            ("this network has", keyframe.network,
+             (self.layout.packed[SECTIONS[-1]].stop, self.lanes)),
+            ("this task has a world of", keyframe.world, self.world.shape),
+            ("this network has γ of", keyframe.gamma, self._gamma.shape),
+            (f"rule {keyframe.rule} has a memory of", keyframe.memory, remembered),
+        ):  # fmt: skip
+            if array.shape != shape:
+                raise ValueError(f"a keyframe of {what} shape {shape}, got {array.shape}")
+        check_step(keyframe.step)
+        check_fall(keyframe.fall)
+        in_force, beta = (keyframe.network[self.layout.packed[n]] for n in ("gamma", "beta"))
+        for gamma in (keyframe.gamma, in_force):
+            for extreme in (gamma.min(), gamma.max()):  # both are NaN if one is
+                check_gamma(float(extreme))
+        for extreme in (beta.min(), beta.max()):
+            if extreme != self.dtype(_BELOW_1):  # which is 1 in float32
+                check_beta(float(extreme))
+        self.task.check_states(keyframe.world.T)
 
     def _check_fit(self) -> None:
         if isinstance(self.task, CompiledTask) and type(self.task).clamps is not Task.clamps:

@@ -11,6 +11,8 @@ LARGEST_GAMMA = 1e3
 LARGEST_FALL = 1e15
 LARGEST_REWARD = 1e6
 MOST_LANES = 4096
+LAST_STEP = 2**62
+"""Steps are counted in 64 bits, and nothing may run over."""
 
 
 def check_beta(beta: float) -> float:
@@ -67,6 +69,13 @@ def check_places(what: str, places: Any, end: float) -> None:
     values = np.asarray(places)
     if not ((values >= 0) & (values < end) & (values == np.floor(values))).all():
         raise ValueError(f"{what} must be a whole number from 0 to before {end:g}")
+
+
+def check_step(step: int) -> int:
+    """The number of a step itself; raises ValueError unless it is from 0 to before LAST_STEP."""
+    if not 0 <= step < LAST_STEP:
+        raise ValueError(f"step must be from 0 to before 2⁶², got {step}")
+    return step
 
 
 def check_dtype(dtype: Any) -> type[np.floating[Any]]:

@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -137,6 +138,10 @@ def test_a_newer_format_is_told(path):
         {"format": "1"}, {"program": "else"}, {"topology": None}, {"topology": {}},
         {"lanes": 3}, {"lanes": 10**9}, {"lanes": -1}, {"lanes": float("inf")},
         {"first_lane": -1}, {"first_lane": 2**40}, {"seed": -1}, {"seed": "x"}, {"step": None},
+        {"step": -5}, {"step": 10**30}, {"step": 2**62}, {"step": 1.0}, {"step": True},
+        {"seed": 1.5}, {"seed": True}, {"lanes": 2.9}, {"first_lane": 1.5}, {"frozen": "no"},
+        {"frozen": 1}, {"task": ["pendulum"]}, {"preset": None}, {"dtype": 64}, {"dtype": "int64"},
+        {"fall": 0.5}, {"fall": "never"}, {"fall": float("nan")},
         {"task": "sonar", "preset": "quick"},
         {"topology": {"groups": [["a", 1, False]], "projections": [["a", "a"]], "output": "a",
                       "activity": [0, 1]}},
@@ -152,6 +157,55 @@ def test_a_header_that_does_not_fit_is_told(path, entries):
     assert "\n" not in str(told.value)
 
 
+def changed(path, name, change):
+    """The file with one of its arrays changed, its checksums right."""
+    with np.load(path) as file:
+        arrays = dict(file)
+    arrays[name] = change(arrays[name])
+    np.savez(path, **arrays)
+
+
+@pytest.mark.parametrize(
+    ("section", "value", "words"),
+    [
+        *((None, value, "gamma") for value in (np.nan, -1.0, np.inf, 1e4)),
+        *(("gamma", value, "gamma") for value in (np.nan, -1.0, np.inf)),
+        *(("beta", value, "beta") for value in (np.nan, -0.1, 1.0, 1.5)),
+    ],
+)
+def test_a_step_size_or_a_beta_that_cannot_be_is_told(learner, path, section, value, words):
+    """In one projection of one lane: as γ was set, or as it and β are in force."""
+
+    def change(array):
+        row = -1 if section is None else learner.layout.packed[section].stop - 1
+        array[row, 1] = value
+        return array
+
+    changed(path, "gamma" if section is None else "network", change)
+    with pytest.raises(BadFile, match=f"does not fit task 'pendulum': {words}") as told:
+        load(path, make_task)
+    assert "\n" not in str(told.value)
+
+
+def test_a_beta_that_float32_rounds_to_1_is_one_that_can_be(tmp_path):
+    learner = Learner(make_task("pendulum"), beta=1.0 - 1e-9, dtype="float32")
+    assert learner.beta == 1.0
+    assert same_learner(load(save(learner, tmp_path / "saved"), make_task), learner)
+
+
+def test_the_step_sizes_of_another_network_are_told(learner, path):
+    """One projection's for all would be taken without a word."""
+    changed(path, "gamma", lambda gamma: gamma[:1])
+    with pytest.raises(BadFile, match=r"this network has γ of shape \(2, 2\), got \(1, 2\)"):
+        load(path, make_task)
+    moment = learner.keyframe()
+    other, before = learner.twin(), learner.twin()
+    for wrong in ({"gamma": moment.gamma[:, :1]}, {"step": -1}, {"fall": 0.0}):
+        with pytest.raises(ValueError, match=r"γ of shape|step must be|fall .* must be"):
+            other.restore(replace(moment, **wrong))
+        assert same_learner(other, before)
+
+
 @pytest.mark.parametrize(
     ("task", "row", "value"),
     [
@@ -164,10 +218,12 @@ def test_a_world_in_a_state_that_cannot_be_is_told(tmp_path, task, row, value):
     """Compiled worlds look tables up by such numbers, and nobody asks whether they are in them."""
     path = save(Learner(make_task(task), lanes=2), tmp_path / "saved.npz")
     load(path, make_task)
-    with np.load(path) as file:
-        arrays = dict(file)
-    arrays["world"][row, 1] = value
-    np.savez(path, **arrays)
+
+    def change(world):
+        world[row, 1] = value
+        return world
+
+    changed(path, "world", change)
     with pytest.raises(BadFile, match=f"does not fit task '{task}'"):
         load(path, make_task)
 
