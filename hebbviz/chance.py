@@ -85,13 +85,17 @@ def eight_words(seed, lane, purpose, step, block):  # type: ignore[no-untyped-de
 
 @inlined
 def unit64(word):  # type: ignore[no-untyped-def]
-    """A word as a number in (0, 1)."""
+    """A word as a number in (0, 1). It is below σ(v) with that probability to within 2⁻³³."""
     return (word + 0.5) * _UNIT
 
 
 @inlined
 def unit32(word):  # type: ignore[no-untyped-def]
-    """The upper 24 bits of a word as a number in [0, 1), which float32 holds exactly."""
+    """The upper 24 bits of a word as a number in [0, 1), which float32 holds exactly.
+
+    A neuron fires if this is below σ(v), so with probability σ(v) rounded up to a multiple of 2⁻²⁴:
+    with up to 6e-8 more than σ(v) at each step, and never with less than 2⁻²⁴, as 0 is drawn.
+    """
     return np.float32(np.int32(word >> _8)) * _UNIT_32
 
 

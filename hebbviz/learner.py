@@ -1,8 +1,8 @@
 """A network, a task and the rule in closed loop. It knows no clock, no queue and no screen.
 
 The trajectory is a pure function of task, topology, parameters and seed, and of the commands given
-(`set_beta`, `set_gamma`, `set_fall`, `set_rule`, `freeze`, `give_reward`, `press`) with the steps
-they were given at.
+(`set_beta`, `set_gamma`, `set_fall`, `set_rule`, `set_weights`, `freeze`, `give_reward`, `press`,
+`place`, `advance` with a reward) with the steps they were given at.
 """
 
 from __future__ import annotations
@@ -70,10 +70,12 @@ class Learner:
     dtype : of weights, traces and potentials: float64, or float32 for more lanes a second. Worlds,
         rewards and totals are float64 in both.
     written_out : whether `skip` is to run what is compiled for this network alone. The run is the
-        same; if the network is small it is up to a quarter faster, once a quarter of a minute has
-        been spent on compiling. For long runs of many lanes of a compiled task.
-    seed : 0 to 2³² - 1. Lane k of a seed is the same run whatever lanes are beside it (unless the
-        rule lets lanes touch each other).
+        same; if the network is small a step takes less time, a third less in 64 lanes of sonar in
+        float32, once a quarter of a minute has been spent on compiling. For long runs of many
+        lanes of a compiled task.
+    seed : 0 to 2³² - 1, of all lanes.
+    lanes, first_lane : how many runs side by side, from which number on. Lane k of a seed is the
+        same run whatever lanes are beside it (unless the rule lets lanes touch each other).
 
     Raises
     ------
