@@ -103,7 +103,7 @@ class Run:
     def advance(self, steps: int) -> Block:
         """Run at most `steps` steps, no further than the edge of the history's window.
 
-        Raises TaskError with the learner at the last good step.
+        Raises TaskError if the task fails, with the learner as `Learner.advance` leaves it.
         """
         step = self.learner.step
         plans = [f.plan(self) for f in self.followers]

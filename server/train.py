@@ -171,7 +171,7 @@ def train(
 ) -> Training:
     """Run `steps` steps, or until `stop` is set; `bar` shows the progress on stderr.
 
-    Raises TaskError if the task fails; the learner is then at the end of the last good step.
+    Raises TaskError if the task fails, with the learner as `Learner.advance` leaves it.
     """
     stop = threading.Event() if stop is None else stop
     learner = go.learner
