@@ -41,6 +41,13 @@ class Difference:
                 raise ValueError(f"a fork with {self.kind} needs its value")
             (check_beta if self.kind == BETA else check_gamma)(self.value)
 
+    @property
+    def change(self) -> Change | None:
+        """What is changed in the other copy; None where its rewards are what differs."""
+        if self.kind in (BETA, NO_MEMORY):
+            return SetBeta(self.value or 0.0)
+        return SetGamma(self.value or 0.0) if self.kind == GAMMA else None
+
     def __str__(self) -> str:
         if self.kind == BETA:
             return f"β {self.value:.6g}"
@@ -58,15 +65,10 @@ class Fork:
         self.history = run.history.copy()
         self.log = list(run.log)
         self._donor = _donor(run) if difference.kind == OTHER_REWARD else None
-        self._differs: Change | None = None
-        if difference.kind in (BETA, NO_MEMORY):
-            self._differs = SetBeta(difference.value or 0.0)
-        if difference.kind == GAMMA:
-            self._differs = SetGamma(difference.value or 0.0)
         self.tape = run.tape.until(self.start)
         self.keep()
-        if self._differs is not None:
-            self._make(self._differs)
+        if difference.change is not None:
+            self._make(difference.change)
 
     def follow(self, step: int) -> None:
         """Go on to the step that the run has come to. Raises TaskError if the task fails here."""
@@ -76,7 +78,7 @@ class Fork:
 
     def change(self, change: Change) -> None:
         """What is changed in the run is changed here too, but for that in which they differ."""
-        if type(change) is not type(self._differs):
+        if type(change) is not type(self.difference.change):
             self._make(change)
 
     def _make(self, change: Change) -> None:
@@ -90,7 +92,7 @@ class Fork:
     @property
     def can_be_made_again(self) -> bool:
         """Whether the log tells all: rewards that were left out or another's are not in it."""
-        return self.difference.kind not in (NO_REWARD, OTHER_REWARD)
+        return self.difference.change is not None
 
     def look_at(self, lane: int) -> None:
         """Show another lane."""
