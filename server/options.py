@@ -343,8 +343,9 @@ def _add_sweep(commands: Any) -> None:
         allow_abbrev=False,
     )
     sweep.add_argument(
-        "--out", type=Path, required=True, metavar="FOLDER", help="folder to write into"
-    )
+        "--out", type=Path, default=Path("sweep"), metavar="FOLDER",
+        help="folder to write into (default %(default)s)",
+    )  # fmt: skip
     _add_task(sweep)
     sweep.add_argument(
         "--beta", type=_values("parse_betas"), metavar="LIST",

@@ -68,6 +68,18 @@ def test_what_it_refuses(options, said, tmp_path, capsys, monkeypatch):
     assert said in err[-1]
 
 
+def test_asked_for_nothing_it_maps_the_default_task_into_a_folder_of_its_own(
+    tmp_path, capsys, monkeypatch
+):
+    """As the help says: the pendulum at its first preset, one point."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["sweep", "--lanes", "1", "--steps", "50"]) == 0
+    says = json.loads(capsys.readouterr().out)
+    assert (says["task"], says["preset"], len(says["points"])) == ("pendulum", "quick", 1)
+    assert says["files"] == [str(Path("sweep", f"sweep.{kind}")) for kind in ("png", "svg", "csv")]
+    assert all((tmp_path / file).is_file() for file in says["files"])
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     out = tmp_path_factory.mktemp("sweep")

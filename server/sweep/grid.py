@@ -109,11 +109,12 @@ class Sweep:
     @classmethod
     def of(cls, args: argparse.Namespace) -> Sweep:
         """What a command line asks for; raises InputError, ValueError and TaskError."""
-        task = make_task(args.task, args.preset)
+        name = args.task or DEFAULT_TASK
+        task = make_task(name, args.preset)
         given = {f.name: getattr(args, f.name) for f in fields(cls) if hasattr(args, f.name)}
         return cls(**given | {
+            "task": name, "preset": task.preset_name, "steps": steps_of(args, task) or STEPS,
             "betas": args.beta or (task.preset.beta,), "gammas": args.gamma or (task.preset.gamma,),
-            "preset": task.preset_name, "steps": steps_of(args, task) or STEPS,
         })  # fmt: skip
 
     def plan(self, beta: float, gamma: float) -> Plan:
