@@ -20,11 +20,15 @@ import hebbviz
 from hebbviz.learner import Learner
 from hebbviz.truth import angle_between
 from server.cli import main
-from server.experiments import Plan
+from server.experiments import Curves, Plan
+from server.figures import learning
 from server.figures.curves import preset_note
 from server.figures.gradient import BETAS, STILL, Watched
+from server.figures.length import Time
 from server.figures.order import KINDS
+from server.figures.scales import even_course
 from server.figures.sheet import Origin, Sheet, blank, look, save
+from sims import TASKS
 from sims.lamps import small_example
 from sims.loading import make_task
 from sims.pendulum import Pendulum
@@ -343,3 +347,29 @@ def test_the_foot_says_all_of_the_note_within_the_figure(preset, tmp_path):
     boxes = [text.get_window_extent() for text in figure.texts]
     assert max(box.x1 for box in boxes) < figure.bbox.x1
     assert max(box.y1 for box in boxes) < axes.get_tightbbox().y0
+
+
+def title_boxes(figure):
+    """Of the titles of all axes that say something, in pixels."""
+    figure.draw_without_rendering()
+    titles = [axes.set_title(axes.get_title(loc), loc=loc) for axes in figure.axes
+              for loc in ("left", "center", "right")]  # fmt: skip
+    return [title.get_window_extent() for title in titles if title.get_text()]
+
+
+@pytest.mark.parametrize("name", [*TASKS, LEVER, "a long summary"])
+def test_the_title_of_a_learning_curve_is_legible(name):
+    """It stays within the figure, and nothing is printed over it."""
+    plan = Plan(task=LEVER if name == "a long summary" else name, segments=2, segment_steps=10)
+    task, totals = plan.make_task(), np.ones((plan.lanes, 2))
+    if name == "a long summary":
+        task.summary = "Win More Games of Whist With a Memory of What Was Played " * 3
+    curves = Curves(np.array([10, 20]), 10, totals, totals, totals, np.zeros(0, dtype=int), {})
+    with look():
+        figure = learning._draw(plan, task, Time("steps", "step", 1.0), even_course(task, curves))
+        boxes = title_boxes(figure)
+    assert boxes
+    for k, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in boxes[:k])
+        assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
+        assert figure.bbox.y0 <= box.y0 < box.y1 <= figure.bbox.y1

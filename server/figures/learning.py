@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 from server import palette
@@ -17,7 +18,7 @@ from server.figures.curves import (
 )
 from server.figures.length import Time, cut, steps_of, time_of
 from server.figures.scales import Course, even_course
-from server.figures.sheet import IDLE, SMALL, Sheet, Table, blank, color, look
+from server.figures.sheet import Sheet, Table, blank, color, look
 from server.making import DEFAULT_TASK
 from sims.loading import make_task
 
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from server.figures.order import Order
 
 _POINTS, _QUICK_POINTS = 100, 25
+_TITLE_LETTERS = 76
+"""In a line of the title; what a task says of itself may be longer."""
 
 
 def make(order: Order, work: Work) -> Sheet:
@@ -50,7 +53,8 @@ def make(order: Order, work: Work) -> Sheet:
     numbers = setting(plan) | {"steps": plan.steps, "measure": task.measure.key}
     numbers |= outcome(task, course, curves)
     quick = f"quick: {plan.lanes} runs of {plan.steps:,} steps in place of 16 of 1,000,000\n"
-    notes = (quick if order.quick else "") + preset_note(plan)
+    about = f"{plan.lanes} runs, {words_of(plan)}\n"
+    notes = (quick if order.quick else "") + about + preset_note(plan)
     return Sheet(figure, _table(task, time, course), numbers, notes)
 
 
@@ -65,10 +69,8 @@ def _table(task: Task, time: Time, course: Course) -> Table:
 def _draw(plan: Plan, task: Task, time: Time, course: Course) -> Figure:
     figure = blank(4.0)
     axes = figure.add_subplot()
-    about = f"{plan.lanes} runs, preset {task.preset_name}: {words_of(plan)}"
     draw_course(axes, course, 1.0 / time.steps, color(palette.BRAND))
     set_measure_axis(axes, task.measure)
     axes.set(xlim=(0, plan.steps / time.steps), xlabel=time.name)
-    axes.set_title(f"{task.name}: {task.summary or 'learning'}")
-    axes.set_title(about, loc="right", fontsize=SMALL, fontweight="normal", color=IDLE)
+    axes.set_title(fill(f"{task.name}: {task.summary or 'learning'}", _TITLE_LETTERS))
     return figure
