@@ -25,9 +25,10 @@ from server.figures import learning
 from server.figures.curves import preset_note
 from server.figures.gradient import BETAS, STILL, Watched
 from server.figures.length import Time
-from server.figures.order import KINDS
+from server.figures.order import KINDS, Order
 from server.figures.scales import even_course
 from server.figures.sheet import Origin, Sheet, blank, look, save
+from server.options import parse
 from sims import TASKS
 from sims.lamps import small_example
 from sims.loading import make_task
@@ -67,7 +68,8 @@ class Made:
         self.says = json.loads(line)
 
     def file(self, kind):
-        return self.folder / f"{self.name}.{kind}"
+        (path,) = (Path(p) for p in self.says["files"] if p.endswith(f".{kind}"))
+        return path
 
     @property
     def comments(self):
@@ -113,9 +115,7 @@ def same_files(a, b):
 )
 def test_three_files_are_written_and_say_by_what_they_were_made(made, name):
     figure = made(name)
-    assert sorted(p.name for p in figure.folder.iterdir()) == [
-        f"{name}.csv", f"{name}.png", f"{name}.svg"
-    ]  # fmt: skip
+    assert [Path(p).suffix for p in figure.says["files"]] == [".png", ".svg", ".csv"]
     assert {Path(p) for p in figure.says["files"]} == set(figure.folder.iterdir())
     told = {"command": figure.says["command"], "version": hebbviz.__version__, "seed": "0"}
     assert figure.comments == told
@@ -128,6 +128,43 @@ def test_three_files_are_written_and_say_by_what_they_were_made(made, name):
     assert description.text == "; ".join(f"{k}: {v}" for k, v in told.items())
     assert figure.says["version"] == hebbviz.__version__
     assert figure.says["quick"] is True
+
+
+@pytest.mark.parametrize(
+    ("options", "file"),
+    [
+        ("sonar", "sonar"),
+        ("sonar --scheduler tcp://here:1", "sonar"),
+        ("sonar --preset best", "sonar-best"),
+        ("sonar --preset best:centred=no,scaled=no", "sonar-best-centred=no-scaled=no"),
+        ("sonar --quick", "sonar-quick"),
+        ("sonar --preset quick", "sonar-quick-preset"),
+        ("sonar --lanes 2 --epochs 30 --seed 3", "sonar-2-lanes-30-epochs-seed-3"),
+        ("pendulum --preset best --hours 120", "pendulum-best-120.0-hours"),
+        ("learning", "learning"),
+        ("learning --task sonar --steps 2000", "learning-sonar-2000-steps"),
+        ("learning --task ../a/lever.py:Lever", "learning-lever"),
+        ("learning --task mine.py:Pole", "learning-mine-Pole"),
+    ],
+)
+def test_files_are_called_by_what_was_asked(options, file):
+    name, *more = options.split()
+    assert Order.of(parse(["figure", name, "--out", "x", *more])).file == file
+
+
+def test_a_figure_does_not_write_over_one_of_another_command(tmp_path, capsys):
+    """Two commands can have one name for their files still, as two tasks have of two folders."""
+    options = "--lanes 1 --steps 500"
+    first = Made("learning", tmp_path, f"--task {LEVER} {options}")
+    before = first.file("csv").read_bytes()
+    other = tmp_path / "other" / "lever.py"
+    other.parent.mkdir()
+    other.write_text(Path(LEVER.rpartition(":")[0]).read_text())
+    argv = ["figure", "learning", "--out", str(tmp_path), "--quick", *options.split()]
+    assert main([*argv, "--task", f"{other}:Lever"]) == 2
+    assert "is of another command and is not written over" in capsys.readouterr().err
+    assert first.file("csv").read_bytes() == before
+    assert main([*argv, "--task", LEVER]) == 0, "its own command makes it again"
 
 
 @pytest.mark.parametrize("name", ["synapse", pytest.param("sonar", marks=pytest.mark.slow)])
@@ -291,7 +328,7 @@ def test_an_interrupted_figure_goes_on_and_comes_out_the_same(made, tmp_path):
     assert process.returncode == 130
     assert out == ""
     assert "the same command goes on" in err.splitlines()[-1]
-    assert not list(tmp_path.glob("sonar.*"))
+    assert not list(tmp_path.glob("sonar*.*"))
     resumed = Made("sonar", tmp_path, SMALL["sonar"])
     assert not list(tmp_path.glob("*unfinished*"))
     assert same_files(whole, resumed)

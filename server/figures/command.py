@@ -19,7 +19,7 @@ from tqdm import tqdm  # type: ignore[import-untyped]
 from hebbviz import __version__
 from server.experiments import Curves, Interrupted, Plan, open_workers, run_all
 from server.figures.order import Order
-from server.figures.sheet import Origin, Sheet, save
+from server.figures.sheet import Origin, Sheet, check_replaces, save
 from server.terminal import InputError, check_writable, reason
 from server.train import announced_on_terminal
 
@@ -55,6 +55,8 @@ def make(order: Order, stop: threading.Event) -> dict[str, Any] | None:
     OSError for what the user can mend.
     """
     prepare_folder(order.out)
+    origin = Origin(order.command, order.seed)
+    check_replaces(order.out, order.file, origin)
     began = time.perf_counter()
     folder = unfinished(order)
     try:
@@ -62,8 +64,7 @@ def make(order: Order, stop: threading.Event) -> dict[str, Any] | None:
             sheet = draw(order, Work(folder, stop, progress, order.scheduler))
     except Interrupted:
         return None
-    origin = Origin(order.command, order.seed)
-    files = save(sheet, order.out, order.name, origin)
+    files = save(sheet, order.out, order.file, origin)
     shutil.rmtree(folder, ignore_errors=True)
     return {
         "figure": order.name, "files": [str(path) for path in files], "command": order.command,

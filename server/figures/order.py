@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import shlex
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -90,6 +91,31 @@ class Order:
                 words += [f"--{option}", str(value)]
         words += ["--seed", str(self.seed)]
         return shlex.join(words + ["--quick"] * self.quick)
+
+    @property
+    def file(self) -> str:
+        """What its files are called, but for their endings: by the figure, and by all that was
+        asked of it, so that one with other options stands beside it.
+        """
+        words = [self.name]
+        if self.task is not None:
+            words.append(_task_word(self.task))
+        if self.preset is not None:  # two tasks have a preset 'quick'
+            words.append("quick-preset" if self.preset == "quick" else self.preset)
+        counts = ((option, getattr(self, option)) for option in ("lanes", *LENGTHS))
+        words += [f"{count}-{option}" for option, count in counts if count is not None]
+        if self.seed:
+            words.append(f"seed-{self.seed}")
+        return re.sub(r"[^\w.=-]+", "-", "-".join(words + ["quick"] * self.quick))
+
+
+def _task_word(task: str) -> str:
+    """A task by name; one of the user's own by its file and class, where they are not the same."""
+    path, _, class_name = task.rpartition(":")
+    stem = Path(path).stem
+    if not path:
+        return task
+    return stem if stem.lower() == class_name.lower() else f"{stem}-{class_name}"
 
 
 def _options() -> tuple[str, ...]:

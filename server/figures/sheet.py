@@ -23,6 +23,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from hebbviz import __version__
 from server.palette import LIGHT, Rgb
+from server.terminal import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -143,6 +144,17 @@ def save(sheet: Sheet, folder: Path, name: str, origin: Origin) -> list[Path]:
     return [_write(folder / f"{name}.{kind}", data) for kind, data in made.items()]
 
 
+def check_replaces(folder: Path, name: str, origin: Origin) -> None:
+    """Raise InputError if files of the name are there that another command made."""
+    table = folder / f"{name}.csv"
+    head, *_ = _head(origin.items())
+    if table.exists() and not table.read_bytes().startswith(head.encode()):
+        raise InputError(
+            f"{table} is of another command and is not written over: move it away, or name another "
+            "folder for --out"
+        )
+
+
 def mark_end(
     axes: Axes, x: float, y: float, text: str, shade: Color, *, size: float = SMALL
 ) -> None:
@@ -184,11 +196,15 @@ def _small_print(figure: Figure, origin: Origin, said: Sequence[str]) -> None:
 
 def _csv(table: Table, about: Mapping[str, str]) -> bytes:
     text = io.StringIO()
-    text.writelines(f"# {key}: {value}\n" for key, value in about.items())
+    text.writelines(_head(about))
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table)
     writer.writerows(zip(*table.values(), strict=True))
     return text.getvalue().encode()
+
+
+def _head(about: Mapping[str, str]) -> list[str]:
+    return [f"# {key}: {value}\n" for key, value in about.items()]
 
 
 def _write(path: Path, data: bytes) -> Path:
