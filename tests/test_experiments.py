@@ -18,6 +18,7 @@ from hebbviz.files import BadFile
 from hebbviz.learner import Learner
 from hebbviz.rules import make_rule
 from server.experiments import Interrupted, Plan, open_workers, run, run_all, workers
+from server.experiments.plan import joined
 from server.experiments.run import TILE, _completed
 from server.experiments.share import Tile, WrongVersion, bring_on
 from server.experiments.store import Store
@@ -127,6 +128,19 @@ def test_tiles_hold_every_lane_once():
             assert len(tiles) >= min(pieces, lanes)
 
 
+@pytest.mark.parametrize("kept", [((0, 8), (0, 4), (4, 4)), ((0, 3), (2, 4), (5, 3)), ((6, 4),)])
+def test_a_lane_that_was_kept_twice_is_run_once(kept, tmp_path, short_shares):
+    """Tiles that overlap, or go beyond the plan: the curves have its lanes, and are the same."""
+    plan = replace(SONAR, lanes=8, segments=2)
+    for k, (first_lane, lanes) in enumerate(kept):
+        tile = bring_on(plan, Tile(first_lane, lanes), 0.02 * k, workers.hebbviz.__version__)
+        Store(tmp_path, plan).write(tile)
+    with open_workers() as cores:
+        curves = run(plan, cores, folder=tmp_path)
+        assert curves.reward.shape == (8, 2)
+        assert same(curves, run(plan, cores))
+
+
 def test_a_stopped_run_goes_on_and_nothing_is_done_twice(tmp_path, short_shares):
     stop, first, second = threading.Event(), [], []
 
@@ -170,6 +184,14 @@ def test_a_run_that_is_killed_goes_on(tmp_path):
         resumed = run(SONAR, cores, folder=tmp_path, progress=(left := []).append)
         assert left[0] >= fractions[-1]
         assert same(resumed, run(SONAR, cores))
+
+
+def test_curves_of_too_many_lanes_are_not_joined():
+    plan = replace(SONAR, lanes=3, segments=1, segment_steps=1)
+    curves = bring_on(plan, Tile(0, 3), 0.0, workers.hebbviz.__version__).curves(plan)
+    assert joined([curves, curves], 6).reward.shape == (6, 1)
+    with pytest.raises(ValueError, match="curves of 5 lanes were to be joined, got 6"):
+        joined([curves, curves], 5)
 
 
 def test_plans_are_kept_apart(tmp_path):

@@ -154,9 +154,12 @@ class Curves:
         return [self.tally(lane, slice(-count, None)) for lane in range(len(self.reward))]
 
 
-def joined(curves: Sequence[Curves]) -> Curves:
-    """Curves of the same steps, their lanes one after another."""
+def joined(curves: Sequence[Curves], lanes: int) -> Curves:
+    """Curves of the same steps, their lanes one after another: so many, or it raises ValueError."""
     first = curves[0]
+    found = sum(len(c.reward) for c in curves)
+    if found != lanes:
+        raise ValueError(f"curves of {lanes} lanes were to be joined, got {found}")
 
     def stacked(name: str) -> Array:
         return np.concatenate([getattr(c, name) for c in curves])

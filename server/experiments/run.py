@@ -92,12 +92,12 @@ class Done:
     tiles: tuple[Tile, ...]
 
     def curves(self) -> Curves:
-        return joined([tile.curves(self.plan) for tile in self.tiles])
+        return joined([tile.curves(self.plan) for tile in self.tiles], self.plan.lanes)
 
     def learner(self, lane: int) -> Learner:
         """A learner of one lane as it is at the end; the first lane of the plan is 0."""
         number = self.plan.first_lane + lane
-        tile = next(t for t in self.tiles if t.first_lane <= number < t.first_lane + t.lanes)
+        tile = next(t for t in self.tiles if t.first_lane <= number < t.end)
         assert tile.keyframe is not None
         learner = self.plan.learner(number, 1)
         learner.restore(tile.keyframe.lane(number - tile.first_lane))
@@ -111,7 +111,7 @@ class _Driver:
         self._tiles: list[dict[int, Tile]] = []
         pieces = -(-workers.count() // len(plans))
         for plan, store in zip(plans, self._stores, strict=True):
-            kept = [] if store is None else store.read()
+            kept = [] if store is None else _apart(plan, store.read())
             self._tiles.append({t.first_lane: t for t in _completed(plan, kept, pieces)})
         self._waiting = [
             (k, tile)
@@ -176,7 +176,7 @@ def _completed(plan: Plan, kept: Sequence[Tile], pieces: int) -> list[Tile]:
     for tile in (*kept, Tile(end, 0)):
         tiles += _cut(lane, tile.first_lane - lane, pieces)
         tiles.append(tile)
-        lane = tile.first_lane + tile.lanes
+        lane = tile.end
     return tiles[:-1]
 
 
@@ -188,3 +188,18 @@ def _cut(first: int, lanes: int, pieces: int) -> list[Tile]:
     count = min(lanes, max(pieces, -(-lanes // TILE)))
     ends = [first + lanes * k // count for k in range(count + 1)] if count else []
     return [Tile(a, b - a) for a, b in pairwise(ends)]
+
+
+def _apart(plan: Plan, kept: Sequence[Tile]) -> list[Tile]:
+    """Of the tiles that were kept those that go together, by lane: each lane of the plan once.
+
+    Two runs of one plan at the same time may have cut it differently. Of two tiles with a lane in
+    common that one stays in which more was done.
+    """
+    end = plan.first_lane + plan.lanes
+    chosen: list[Tile] = []
+    for tile in sorted(kept, key=lambda t: t.step * t.lanes, reverse=True):
+        inside = plan.first_lane <= tile.first_lane and tile.end <= end
+        if inside and all(t.end <= tile.first_lane or tile.end <= t.first_lane for t in chosen):
+            chosen.append(tile)
+    return sorted(chosen, key=lambda tile: tile.first_lane)

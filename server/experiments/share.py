@@ -48,6 +48,11 @@ class Tile:
     def step(self) -> int:
         return 0 if self.keyframe is None else self.keyframe.step
 
+    @property
+    def end(self) -> int:
+        """The lane after its last one."""
+        return self.first_lane + self.lanes
+
     def learner(self, plan: Plan) -> Learner:
         """The tile's lanes as they are now."""
         learner = plan.learner(self.first_lane, self.lanes)

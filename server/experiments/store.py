@@ -40,8 +40,7 @@ class Store:
         }  # fmt: skip
         arrays = {_KEYFRAME + name: value for name, value in _numbers(tile.keyframe).items()}
         arrays |= {f"figure {k}": values for k, values in enumerate(tile.figures.values())}
-        last = tile.first_lane + tile.lanes - 1
-        path = self.folder / f"lanes-{tile.first_lane}-{last}.npz"
+        path = self.folder / f"lanes-{tile.first_lane}-{tile.end - 1}.npz"
         write_arrays(path, header, arrays | {"totals": tile.totals})
 
     def _read(self, path: Path) -> Tile:
