@@ -28,6 +28,7 @@ from server.terminal import (
     FAILED,
     FINE,
     InputError,
+    WorkersFailed,
     check_writable,
     fail,
     place,
@@ -345,7 +346,6 @@ def _experiment(
     args: argparse.Namespace, work: Callable[[threading.Event], dict[str, Any] | None]
 ) -> int:
     """Do a long work and print what it comes to; `work` returns None if it was stopped."""
-    from server.experiments import LostWorkers
     from server.interrupts import Interrupts
 
     kept = f"the same command goes on from what is kept in {args.out}"
@@ -353,7 +353,7 @@ def _experiment(
         try:
             with user_can_mend(args):
                 made = work(interrupts.stop)
-        except LostWorkers as error:
+        except WorkersFailed as error:
             return fail(FAILED, f"{error}; {kept}")
         except KeyboardInterrupt:
             tell(f"stopped at once; {kept}")

@@ -20,6 +20,10 @@ class InputError(Exception):
     """Something that the user gave and can mend; the message says what, why and what to do."""
 
 
+class WorkersFailed(Exception):
+    """Those who do the work are gone or not fit for it: nothing that the user gave is to blame."""
+
+
 @contextlib.contextmanager
 def user_can_mend(args: argparse.Namespace) -> Iterator[None]:
     """What goes wrong in here does so for what the user gave."""
@@ -27,7 +31,7 @@ def user_can_mend(args: argparse.Namespace) -> Iterator[None]:
 
     try:
         yield
-    except (InputError, MemoryError):
+    except (InputError, WorkersFailed, MemoryError):
         raise
     except FileExistsError as error:
         what = f"{error.filename} exists already and is not written over: name another file"

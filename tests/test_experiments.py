@@ -3,31 +3,40 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 import signal
 import subprocess
 import sys
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import hebbviz
 from hebbviz.files import BadFile
 from hebbviz.learner import Learner
 from hebbviz.rules import make_rule
+from server.cli import main
 from server.experiments import Interrupted, Plan, open_workers, run, run_all, workers
 from server.experiments.plan import joined
 from server.experiments.run import TILE, _completed
-from server.experiments.share import Tile, WrongVersion, bring_on
+from server.experiments.share import ChangedTask, Tile, WrongVersion, bring_on
 from server.experiments.store import Store
 from sims.loading import make_task
 
 ROOT = Path(__file__).parents[1]
 LEVER = f"{ROOT / 'tests' / 'examples' / 'lever.py'}:Lever"
 SONAR = Plan(task="sonar", hidden=(3,), seed=7, lanes=5, segments=6, segment_steps=3_001)
+PATIENCE = 60.0
 PULLS = Plan(task=LEVER, seed=2, lanes=3, segments=5, segment_steps=400)
+
+
+def brought_on(plan, tile, seconds):
+    return bring_on(plan, tile, seconds, hebbviz.__version__, plan.digest())
 
 
 @pytest.fixture
@@ -110,7 +119,7 @@ def test_cut_and_shares_change_nothing(short_shares, monkeypatch):
         many_shares = run(SONAR, cores)
         monkeypatch.setattr(workers._Cores, "count", lambda _: 5)
         five_tiles, third = run_all([SONAR, replace(SONAR, first_lane=3, lanes=1)], cores)
-    one = bring_on(SONAR, Tile(0, SONAR.lanes), 1e9, workers.hebbviz.__version__).curves(SONAR)
+    one = brought_on(SONAR, Tile(0, SONAR.lanes), 1e9).curves(SONAR)
     assert same(many_shares, one)
     assert same(five_tiles, one)
     assert np.array_equal(third.reward[0], one.reward[3])
@@ -133,7 +142,7 @@ def test_a_lane_that_was_kept_twice_is_run_once(kept, tmp_path, short_shares):
     """Tiles that overlap, or go beyond the plan: the curves have its lanes, and are the same."""
     plan = replace(SONAR, lanes=8, segments=2)
     for k, (first_lane, lanes) in enumerate(kept):
-        tile = bring_on(plan, Tile(first_lane, lanes), 0.02 * k, workers.hebbviz.__version__)
+        tile = brought_on(plan, Tile(first_lane, lanes), 0.02 * k)
         Store(tmp_path, plan).write(tile)
     with open_workers() as cores:
         curves = run(plan, cores, folder=tmp_path)
@@ -188,7 +197,7 @@ def test_a_run_that_is_killed_goes_on(tmp_path):
 
 def test_curves_of_too_many_lanes_are_not_joined():
     plan = replace(SONAR, lanes=3, segments=1, segment_steps=1)
-    curves = bring_on(plan, Tile(0, 3), 0.0, workers.hebbviz.__version__).curves(plan)
+    curves = brought_on(plan, Tile(0, 3), 0.0).curves(plan)
     assert joined([curves, curves], 6).reward.shape == (6, 1)
     with pytest.raises(ValueError, match="curves of 5 lanes were to be joined, got 6"):
         joined([curves, curves], 5)
@@ -210,7 +219,7 @@ def test_plans_are_kept_apart(tmp_path):
 
 
 def test_what_is_damaged_is_refused(tmp_path):
-    tile = bring_on(SONAR, Tile(0, 5), 0.0, workers.hebbviz.__version__)
+    tile = brought_on(SONAR, Tile(0, 5), 0.0)
     store = Store(tmp_path, SONAR)
     store.write(tile)
     (file,) = store.folder.iterdir()
@@ -223,7 +232,73 @@ def test_what_is_damaged_is_refused(tmp_path):
 
 def test_a_worker_of_another_version_is_refused():
     with pytest.raises(WrongVersion, match=r"0\.0\.0"):
-        bring_on(SONAR, Tile(0, 1), 0.0, "0.0.0")
+        bring_on(SONAR, Tile(0, 1), 0.0, "0.0.0", SONAR.digest())
+
+
+def test_a_task_that_is_edited_in_mid_run_is_refused(tmp_path, short_shares):
+    """Nothing of the new text comes into the curves of the old one; put back, the run goes on."""
+    own = tmp_path / "own.py"
+    own.write_text(text := Path(LEVER.rpartition(":")[0]).read_text())
+    plan = replace(PULLS, task=f"{own}:Lever", segments=50)
+
+    def edit(fraction):
+        if 0.0 < fraction < 1.0:
+            own.write_text(text.replace("return state[1]", "return 1.0 - state[1]"))
+
+    with open_workers() as cores:
+        whole = run(plan, cores)
+        with pytest.raises(ChangedTask, match=r"own.py:Lever: the file is not what the run began"):
+            run(plan, cores, folder=tmp_path / "kept", progress=edit)
+        own.write_text(text)
+        assert same(run(plan, cores, folder=tmp_path / "kept", progress=(left := []).append), whole)
+    assert left[0] > 0.0
+
+
+def _die(*_):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_workers_that_die_or_are_others_are_not_blamed_on_the_task(tmp_path, capsys, monkeypatch):
+    argv = ["figure", "learning", "--task", LEVER, "--quick", "--out", str(tmp_path)]
+    kept = f"the same command goes on from what is kept in {tmp_path}"
+    with monkeypatch.context() as patch:
+        patch.setattr(workers, "bring_on", _die)
+        assert main(argv) == 1
+    died = "hebbviz: a process that did a share of the work died"
+    assert capsys.readouterr().err.splitlines()[-1] == f"{died}; {kept}"
+    with monkeypatch.context() as patch:
+        patch.setattr(hebbviz, "__version__", "0.0.0")
+        assert main(argv) == 1
+    other = f"hebbviz: a worker runs hebbviz {hebbviz.__version__}, this is 0.0.0: install the same"
+    assert capsys.readouterr().err.splitlines()[-1] == f"{other} version for all workers; {kept}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "SIGTERM"])
+def test_a_signal_to_all_processes_stops_them_as_one_to_the_first_does(number, tmp_path):
+    script = (
+        "import sys\n"
+        "from server.cli import main\n"
+        "from server.experiments import workers\n"
+        "workers.SHARE_SECONDS = 0.1\n"
+        "sys.exit(main(sys.argv[1:]))\n"
+    )
+    argv = ["figure", "learning", "--task", LEVER, "--out", str(tmp_path), "--steps", "10000000"]
+    with subprocess.Popen(
+        [sys.executable, "-c", script, *argv], cwd=ROOT, text=True, start_new_session=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as process:  # fmt: skip
+        try:
+            deadline = time.monotonic() + PATIENCE
+            while not list(tmp_path.glob("*-unfinished-*/*/lanes-*.npz")):
+                assert process.poll() is None and time.monotonic() < deadline
+                time.sleep(0.02)
+            os.killpg(process.pid, number)
+            _, errors = process.communicate(timeout=PATIENCE)
+        finally:
+            process.kill()
+    assert process.returncode == 128 + number
+    assert errors.splitlines()[-1].startswith("hebbviz: stopped; the same command goes on")
 
 
 def test_what_the_learner_refuses_ends_the_run():

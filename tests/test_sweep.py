@@ -151,9 +151,9 @@ def test_more_values_go_on_from_what_is_there(made, monkeypatch):
     out, says = made
     done, submit = [], workers._Cores.submit
 
-    def note(self, plan, tile):
+    def note(self, plan, *share):
         done.append(plan)
-        return submit(self, plan, tile)
+        return submit(self, plan, *share)
 
     monkeypatch.setattr(workers._Cores, "submit", note)
     more = make(Sweep(**{**vars(SWEEP), "betas": (0.0, 0.5, 0.8)}), out, threading.Event())

@@ -107,7 +107,8 @@ class Plan:
         Raises OSError if that file cannot be read.
         """
         file, _, name = self.task.rpartition(":")
-        task = [name, Path(file).read_text() if file.endswith(".py") else ""]
+        own = Path(file).read_bytes() if file.endswith(".py") else b""  # of whatever encoding
+        task = [name, own.decode(errors="surrogateescape")]
         content = json.dumps([hebbviz.__version__, self.to_json() | {"task": task}], sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()[:16]
 

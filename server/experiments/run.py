@@ -48,7 +48,9 @@ def run(
     Interrupted
         Once `stop` is set and what was done is kept.
     TaskError, ValueError
-        If the task fails or does not take what the plan gives it.
+        If the task fails or does not take what the plan gives it, or its file is edited meanwhile.
+    WorkersFailed
+        If the workers are gone, or run another version of the program.
     BadFile, OSError
         If what was kept is damaged, or cannot be read or written.
     """
@@ -107,6 +109,7 @@ class Done:
 class _Driver:
     def __init__(self, plans: Sequence[Plan], workers: Workers, folder: Path | None) -> None:
         self._plans, self._workers = plans, workers
+        self._digests = [plan.digest() for plan in plans]
         self._stores = [None if folder is None else Store(folder, plan) for plan in plans]
         self._tiles: list[dict[int, Tile]] = []
         pieces = -(-workers.count() // len(plans))
@@ -145,7 +148,8 @@ class _Driver:
         for _ in range(min(room, len(self._waiting))):
             self._waiting.sort(key=self._steps_left)
             k, tile = self._waiting.pop()
-            self._running[self._workers.submit(self._plans[k].for_workers(), tile)] = k
+            plan = self._plans[k].for_workers()
+            self._running[self._workers.submit(plan, tile, self._digests[k])] = k
 
     def _steps_left(self, waiting: tuple[int, Tile]) -> int:
         k, tile = waiting

@@ -18,6 +18,7 @@ from hebbviz.learner import Learner
 from hebbviz.moments import Keyframe
 from server.experiments.plan import Curves, Plan
 from server.stretches import stretches
+from server.terminal import WorkersFailed
 
 Array = NDArray[np.float64]
 
@@ -25,8 +26,12 @@ STRETCH_SECONDS = 0.25
 """A share may last longer than it was to by about this, or by an evaluation."""
 
 
-class WrongVersion(RuntimeError):
+class WrongVersion(WorkersFailed):
     """A worker runs another version of the program, which may not make the same run."""
+
+
+class ChangedTask(ValueError):
+    """A worker read another text of the user's task than the run began with."""
 
 
 @dataclass(frozen=True)
@@ -77,11 +82,12 @@ class Tile:
         )
 
 
-def bring_on(plan: Plan, tile: Tile, seconds: float, version: str) -> Tile:
+def bring_on(plan: Plan, tile: Tile, seconds: float, version: str, digest: str) -> Tile:
     """The tile after about `seconds` more, or at the plan's end.
 
     What it has come through is a function of the plan and its lanes alone: how it was cut into
-    shares tells only where a share ends. Raises TaskError if the task fails, and WrongVersion.
+    shares tells only where a share ends. `version` of the program and `digest` of the plan are
+    those that the run began with. Raises TaskError if the task fails, WrongVersion, ChangedTask.
     """
     if version != hebbviz.__version__:
         raise WrongVersion(
@@ -89,6 +95,11 @@ def bring_on(plan: Plan, tile: Tile, seconds: float, version: str) -> Tile:
             "version for all workers"
         )
     share = _Share(plan, tile)
+    if plan.digest() != digest:  # after the file was run: an edit in between is seen too
+        raise ChangedTask(
+            f"task {plan.task}: the file is not what the run began with, here or on a worker: put "
+            "it back to go on, or start again with it everywhere"
+        )
     share.run(time.monotonic() + seconds)
     return share.tile()
 

@@ -28,7 +28,8 @@ import hebbviz
 from hebbviz.task import CompiledTask
 from server.experiments.plan import Plan
 from server.experiments.share import Tile, bring_on
-from server.terminal import InputError
+from server.interrupts import SIGNALS
+from server.terminal import InputError, WorkersFailed
 
 SHARE_SECONDS = 3.0
 """How long a worker is busy with a share: what a kill may cost, and Ctrl-C may take."""
@@ -38,7 +39,7 @@ COUNT_SECONDS = 0.5
 """The workers of a cluster are counted so often."""
 
 
-class LostWorkers(RuntimeError):
+class LostWorkers(WorkersFailed):
     """The workers are gone for good; what was done is kept."""
 
 
@@ -48,8 +49,8 @@ class Workers(Protocol):
     def count(self) -> int:
         """How many shares can be done at once, as things are now."""
 
-    def submit(self, plan: Plan, tile: Tile) -> Future[Tile]:
-        """Have a tile brought on by a share."""
+    def submit(self, plan: Plan, tile: Tile, digest: str) -> Future[Tile]:
+        """Have a tile brought on by a share, if the plan is still what it was by this digest."""
 
     def result(self, share: Future[Tile]) -> Tile:
         """What came of a share that is done; raises what it raised, and LostWorkers."""
@@ -82,12 +83,12 @@ class _Cores:
     def count(self) -> int:
         return self._cores
 
-    def submit(self, plan: Plan, tile: Tile) -> Future[Tile]:
+    def submit(self, plan: Plan, tile: Tile, digest: str) -> Future[Tile]:
         threads = isinstance(plan.make_task(), CompiledTask)
         if threads not in self._executors:
             self._executors[threads] = self._threads() if threads else self._processes()
-        with contextlib.nullcontext() if threads else _ctrl_c_ignored():  # by those that start here
-            return _submit(self._executors[threads], plan, tile)
+        with contextlib.nullcontext() if threads else _signals_held():  # by those that start here
+            return _submit(self._executors[threads], plan, tile, digest)
 
     def result(self, share: Future[Tile]) -> Tile:
         try:
@@ -117,16 +118,18 @@ def _cores() -> int:
 
 
 @contextlib.contextmanager
-def _ctrl_c_ignored() -> Iterator[None]:
-    """A terminal sends Ctrl-C to all processes, but it is for this one to stop the others."""
-    if threading.current_thread() is not threading.main_thread():
+def _signals_held() -> Iterator[None]:
+    """A terminal sends Ctrl-C to all processes, and who ends a service SIGTERM, but it is for this
+    one to stop the others. Those that start in here never take them; this one takes them after.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _end_processes(executor: ProcessPoolExecutor) -> None:
@@ -193,8 +196,8 @@ class _Cluster:
             self._counted_at = time.monotonic()
         return self._threads
 
-    def submit(self, plan: Plan, tile: Tile) -> Future[Tile]:
-        return _submit(self._executor, plan, tile)
+    def submit(self, plan: Plan, tile: Tile, digest: str) -> Future[Tile]:
+        return _submit(self._executor, plan, tile, digest)
 
     def result(self, share: Future[Tile]) -> Tile:
         try:
@@ -209,5 +212,5 @@ class _Cluster:
         self._client.close(timeout=CONNECT_SECONDS)
 
 
-def _submit(executor: Executor, plan: Plan, tile: Tile) -> Future[Tile]:
-    return executor.submit(bring_on, plan, tile, SHARE_SECONDS, hebbviz.__version__)
+def _submit(executor: Executor, plan: Plan, tile: Tile, digest: str) -> Future[Tile]:
+    return executor.submit(bring_on, plan, tile, SHARE_SECONDS, hebbviz.__version__, digest)
