@@ -128,6 +128,50 @@ def test_a_scheduler_that_goes_away_ends_the_run_with_a_reason(cluster, tmp_path
 
 
 @pytest.mark.slow
+def test_once_all_workers_are_gone_it_says_so_and_can_be_stopped(cluster, tmp_path, monkeypatch):
+    """The shares that nobody will do are given up; a worker that came would have gone on."""
+    plan, worker, stop, said = replace(PLAN, segments=400), cluster.worker(), threading.Event(), []
+    monkeypatch.setattr(workers, "tell", lambda line: (said.append(line), stop.set()))
+    ended = []
+
+    def work():
+        with open_workers(cluster.address) as there, pytest.raises(Interrupted):
+            run(plan, there, folder=tmp_path, stop=stop, progress=kill_once_begun)
+        ended.append(time.monotonic())
+
+    def kill_once_begun(fraction):
+        if fraction > 0.0 and worker.poll() is None:
+            worker.kill()
+            worker.wait(PATIENCE)
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    thread.join(PATIENCE)
+    assert ended, "it still runs"
+    assert said == [f"no workers left at {cluster.address}, waiting: start one, or Ctrl-C"]
+    with pytest.raises(Interrupted), open_workers() as cores:
+        run(plan, cores, folder=tmp_path, stop=stop, progress=(kept := []).append)
+    assert 0.0 < kept[0] < 1.0
+
+
+@pytest.mark.slow
+def test_a_share_that_workers_die_of_is_given_up(tmp_path, monkeypatch):
+    monkeypatch.setenv("DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES", "0")
+    deadly = tmp_path / "deadly.py"
+    text = Path(LEVER.rpartition(":")[0]).read_text()
+    deadly.write_text(text.replace("lamp = 1.0", "__import__('os')._exit(1)\n        lamp = 1.0"))
+    plan = Plan(task=f"{deadly}:Lever", lanes=1, segments=1, segment_steps=300)
+    with contextlib.ExitStack() as stack:
+        cluster = Cluster(tmp_path, stack)
+        cluster.worker()
+        with (
+            open_workers(cluster.address) as there,
+            pytest.raises(workers.LostWorkers, match="a share of the work failed"),
+        ):
+            run(plan, there)
+
+
+@pytest.mark.slow
 def test_a_user_s_task_in_python_is_found_there(cluster):
     plan = Plan(task=LEVER, seed=2, lanes=2, segments=3, segment_steps=300)
     cluster.worker()

@@ -237,13 +237,14 @@ def test_a_worker_of_another_version_is_refused():
 
 def test_a_task_that_is_edited_in_mid_run_is_refused(tmp_path, short_shares):
     """Nothing of the new text comes into the curves of the old one; put back, the run goes on."""
-    own = tmp_path / "own.py"
+    own, edited = tmp_path / "own.py", tmp_path / "edited.py"
     own.write_text(text := Path(LEVER.rpartition(":")[0]).read_text())
     plan = replace(PULLS, task=f"{own}:Lever", segments=50)
 
     def edit(fraction):
         if 0.0 < fraction < 1.0:
-            own.write_text(text.replace("return state[1]", "return 1.0 - state[1]"))
+            edited.write_text(text.replace("return state[1]", "return 1.0 - state[1]"))
+            edited.replace(own)
 
     with open_workers() as cores:
         whole = run(plan, cores)

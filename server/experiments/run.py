@@ -129,11 +129,16 @@ class _Driver:
         while self._waiting or self._running:
             if not stop.is_set():
                 self._submit()
-            elif not self._running:
+            elif not self._running or self._workers.count() == 0:  # nobody would bring them back
+                self._cancel()
                 raise Interrupted
             for share in wait(self._running, _LOOK_SECONDS, FIRST_COMPLETED).done:
                 self._take(self._running.pop(share), self._workers.result(share))
                 progress(self._fraction())
+
+    def _cancel(self) -> None:
+        for share in self._running:
+            share.cancel()
 
     def done(self) -> list[Done]:
         tiles = (tuple(t.values()) for t in self._tiles)

@@ -94,14 +94,19 @@ def bring_on(plan: Plan, tile: Tile, seconds: float, version: str, digest: str) 
             f"a worker runs hebbviz {hebbviz.__version__}, this is {version}: install the same "
             "version for all workers"
         )
+    _check_unchanged(plan, digest)
     share = _Share(plan, tile)
-    if plan.digest() != digest:  # after the file was run: an edit in between is seen too
+    _check_unchanged(plan, digest)  # nor was it edited since: this text is the one that was run
+    share.run(time.monotonic() + seconds)
+    return share.tile()
+
+
+def _check_unchanged(plan: Plan, digest: str) -> None:
+    if plan.digest() != digest:
         raise ChangedTask(
             f"task {plan.task}: the file is not what the run began with, here or on a worker: put "
             "it back to go on, or start again with it everywhere"
         )
-    share.run(time.monotonic() + seconds)
-    return share.tile()
 
 
 class _Share:

@@ -24,12 +24,14 @@ from concurrent.futures import (
 )
 from typing import Any, Protocol
 
+from tqdm import tqdm  # type: ignore[import-untyped]
+
 import hebbviz
 from hebbviz.task import CompiledTask
 from server.experiments.plan import Plan
 from server.experiments.share import Tile, bring_on
 from server.interrupts import SIGNALS
-from server.terminal import InputError, WorkersFailed
+from server.terminal import InputError, WorkersFailed, tell
 
 SHARE_SECONDS = 3.0
 """How long a worker is busy with a share: what a kill may cost, and Ctrl-C may take."""
@@ -159,10 +161,10 @@ class _Cluster:
 
     def __init__(self, address: str) -> None:
         try:
-            from distributed import Client
+            from distributed import Client, KilledWorker
         except ImportError as error:
             raise InputError('--scheduler needs Dask: pip install "hebbviz[cluster]"') from error
-        self._address = address
+        self._address, self._killed = address, KilledWorker
         for name in ("distributed", "distributed.client"):  # what matters comes as an exception
             logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
@@ -189,11 +191,15 @@ class _Cluster:
 
     def count(self) -> int:
         if time.monotonic() - self._counted_at > COUNT_SECONDS:
+            before = self._threads
             try:
                 self._threads = sum(self._client.nthreads().values())
             except OSError as error:
                 raise self._lost() from error
             self._counted_at = time.monotonic()
+            if before and not self._threads:
+                with tqdm.external_write_mode():  # there may be a bar
+                    tell(f"no workers left at {self._address}, waiting: start one, or Ctrl-C")
         return self._threads
 
     def submit(self, plan: Plan, tile: Tile, digest: str) -> Future[Tile]:
@@ -204,6 +210,8 @@ class _Cluster:
             return share.result()
         except CancelledError as error:
             raise self._lost() from error
+        except self._killed as error:  # Dask gives a share up that several died at
+            raise LostWorkers(f"a share of the work failed: {error}") from error
 
     def _lost(self) -> LostWorkers:
         return LostWorkers(f"the Dask scheduler at {self._address} is gone")
