@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import sys
 import tempfile
 import traceback
@@ -14,6 +15,7 @@ from pathlib import Path
 
 FINE, FAILED, BAD_INPUT = 0, 1, 2
 LONGEST_LINE = 600
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class InputError(Exception):
@@ -58,6 +60,18 @@ def check_writable(folder: Path) -> None:
     except OSError as error:
         raise InputError(
             f"cannot save in {folder}: {reason(error)}; choose another folder"
+        ) from error
+
+
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """What cannot be written in here is said as such; what was done before is kept."""
+    try:
+        yield
+    except OSError as error:
+        remedy = "make room" if error.errno in _NO_ROOM else "mend that"
+        raise InputError(
+            f"cannot write {path}: {reason(error)}; {remedy}, the same command goes on"
         ) from error
 
 

@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 
 import hebbviz
-from hebbviz.files import BadFile
 from hebbviz.learner import Learner
 from hebbviz.rules import make_rule
 from server.cli import main
@@ -218,7 +217,7 @@ def test_plans_are_kept_apart(tmp_path):
     assert Plan(**json.loads(json.dumps(plan.to_json()))).digest() == plan.digest()
 
 
-def test_what_is_damaged_is_refused(tmp_path):
+def test_what_is_damaged_is_run_again(tmp_path, capsys):
     tile = brought_on(SONAR, Tile(0, 5), 0.0)
     store = Store(tmp_path, SONAR)
     store.write(tile)
@@ -226,8 +225,41 @@ def test_what_is_damaged_is_refused(tmp_path):
     (kept,) = store.read()
     assert kept.keyframe.digest() == tile.keyframe.digest()
     file.write_bytes(file.read_bytes()[:-40])
-    with open_workers() as cores, pytest.raises(BadFile, match="damaged"):
+    with open_workers() as cores:
+        again = run(SONAR, cores, folder=tmp_path)
+        (line,) = capsys.readouterr().err.splitlines()
+        assert str(file) in line and "damaged: it is put aside, and what it held is run" in line
+        assert same(again, run(SONAR, cores))
         run(SONAR, cores, folder=tmp_path)
+    assert capsys.readouterr().err == "", "it is said once"
+
+
+@pytest.mark.parametrize(("limit", "what"), [(500, "/lanes-"), (20_000, "learning-")])
+def test_a_full_disk_is_told_and_the_same_command_goes_on(limit, what, tmp_path):
+    """Where shares are kept, and where the figure is written; once there is room all is well."""
+    script = (
+        "import resource, sys\n"
+        "from pathlib import Path\n"
+        "from server.cli import main\n"
+        "words = sys.argv[2:]\n"
+        "main([*words, '--out', 'warm'])  # compiles, and has that on disk\n"
+        "hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), hard))\n"
+        "codes = [main([*words, '--out', 'full'])]\n"
+        "left = [p.suffix for p in Path('full').rglob('*') if p.is_file()]\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))\n"
+        "print(*codes, main([*words, '--out', 'full']), *sorted(set(left)))\n"
+    )
+    argv = ["figure", "learning", "--task", "sonar", "--quick", "--lanes", "2", "--steps", "500"]
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(limit), *argv], cwd=tmp_path, text=True, check=True,
+        capture_output=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    (line,) = (x for x in done.stderr.splitlines() if x.startswith("hebbviz: "))
+    assert line.startswith("hebbviz: cannot write full/learning-") and what in line
+    assert line.endswith(": file too large; make room, the same command goes on")
+    kept = "" if limit == 500 else ".npz"
+    assert done.stdout.splitlines()[-1] == f"2 0 {kept}".strip(), "no part of a file is left"
 
 
 def test_a_worker_of_another_version_is_refused():

@@ -51,8 +51,8 @@ def run(
         If the task fails or does not take what the plan gives it, or its file is edited meanwhile.
     WorkersFailed
         If the workers are gone, or run another version of the program.
-    BadFile, OSError
-        If what was kept is damaged, or cannot be read or written.
+    InputError, OSError
+        If what was done cannot be kept, or what was kept cannot be read.
     """
     return run_all([plan], workers, folder=folder, stop=stop, progress=progress)[0]
 

@@ -12,6 +12,7 @@ from hebbviz.files import BadFile, read_arrays, write_arrays
 from hebbviz.moments import Keyframe
 from server.experiments.plan import Plan
 from server.experiments.share import Tile
+from server.terminal import tell, writing
 
 FORMAT = 1
 PROGRAM = "hebbviz lanes"
@@ -26,14 +27,22 @@ class Store:
         self.folder = folder / f"{_class_name(plan.task)}-{self._digest}"
 
     def read(self) -> list[Tile]:
-        """The tiles that were kept, by lane. Raises OSError, and BadFile for a damaged one."""
-        tiles = [self._read(path) for path in self.folder.glob("lanes-*.npz")]
+        """The tiles that were kept, by lane. Raises OSError.
+
+        One that is damaged is as good as none: it is put aside, which is told.
+        """
+        tiles = []
+        for path in sorted(self.folder.glob("lanes-*.npz")):
+            try:
+                tiles.append(self._read(path))
+            except BadFile as error:
+                path.replace(path.with_name(f"damaged-{path.name}"))
+                tell(f"{error}: it is put aside, and what it held is run again")
         return sorted(tiles, key=lambda tile: tile.first_lane)
 
     def write(self, tile: Tile) -> None:
-        """Keep a tile in place of what was kept of it. Raises OSError."""
+        """Keep a tile in place of what was kept of it. Raises InputError if it cannot be."""
         assert tile.keyframe is not None
-        self.folder.mkdir(parents=True, exist_ok=True)
         header = {
             "program": PROGRAM, "format": FORMAT, "plan": self._digest,
             "first_lane": tile.first_lane, "lanes": tile.lanes, "figures": list(tile.figures),
@@ -41,12 +50,14 @@ class Store:
         arrays = {_KEYFRAME + name: value for name, value in _numbers(tile.keyframe).items()}
         arrays |= {f"figure {k}": values for k, values in enumerate(tile.figures.values())}
         path = self.folder / f"lanes-{tile.first_lane}-{tile.end - 1}.npz"
-        write_arrays(path, header, arrays | {"totals": tile.totals})
+        with writing(path):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            write_arrays(path, header, arrays | {"totals": tile.totals})
 
     def _read(self, path: Path) -> Tile:
         header, arrays = read_arrays(path, PROGRAM, FORMAT, what="part of an experiment")
         if header["plan"] != self._digest:
-            raise BadFile(f"{path} is of another experiment: move it away")
+            raise BadFile(f"{path} is of another experiment")
         first, lanes = int(header["first_lane"]), int(header["lanes"])
         kept: dict[str, Any] = {
             name.removeprefix(_KEYFRAME): array if array.ndim else array.item()

@@ -23,7 +23,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from hebbviz import __version__
 from server.palette import LIGHT, Rgb
-from server.terminal import InputError
+from server.terminal import InputError, writing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,7 +117,7 @@ def _leave_foot(figure: Figure, foot: float) -> None:
 
 
 def save(sheet: Sheet, folder: Path, name: str, origin: Origin) -> list[Path]:
-    """Write PNG, SVG and CSV; returns the three paths. Raises OSError.
+    """Write PNG, SVG and CSV; returns the three paths. Raises InputError.
 
     A file is whole or not there: it gets its name when it is done, in place of an older one.
     """
@@ -209,9 +209,10 @@ def _head(about: Mapping[str, str]) -> list[str]:
 
 def _write(path: Path, data: bytes) -> Path:
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        unfinished.write_bytes(data)
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with writing(path):
+        try:
+            unfinished.write_bytes(data)
+            unfinished.replace(path)
+        finally:
+            unfinished.unlink(missing_ok=True)
     return path

@@ -17,6 +17,7 @@ from server.figures.sheet import Origin, save
 from server.sweep.grid import Sweep, learners_file
 from server.sweep.heat_map import sheet
 from server.sweep.outcome import outcome
+from server.terminal import writing
 from server.train import announced_on_terminal
 from sims import TASKS
 
@@ -73,8 +74,9 @@ def _openings(sweep: Sweep, done: Done, point: Outcome, out: Path) -> dict[str, 
     assert beta is not None
     assert gamma is not None
     path = learners_file(out, beta, gamma)
-    path.parent.mkdir(exist_ok=True)
-    files.save(done.learner(point.middle), path, task_name=sweep.task)
+    with writing(path):
+        path.parent.mkdir(exist_ok=True)
+        files.save(done.learner(point.middle), path, task_name=sweep.task)
     own = [] if sweep.task in TASKS else ["--task", sweep.task]
     return {
         "lane": point.middle,
