@@ -39,6 +39,14 @@ def test_lists_and_ranges():
         assert float(f"{value:.6g}") == value
 
 
+def test_a_range_of_beta_goes_as_near_to_1_as_it_was_asked_to():
+    assert parse_betas("0.9:0.9999999:3") == (0.9, 0.9999, 0.9999999)
+    ends = parse_betas("0:0.999999999999:5")
+    assert ends == (0.0, 0.999, 0.999999, 0.999999999, 0.999999999999)
+    for value in parse_betas("0:0.9999:200"):
+        assert float(f"{value:.6g}") == value, "six digits where they tell enough"
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -50,6 +58,9 @@ def test_lists_and_ranges():
         ("--gamma nan", "gamma (the step size) must be from 0"),
         ("--beta 0.1:0.9:100 --gamma 0.1:0.9:100", "at most 1000 points"),
         ("--hours 1", "has no time but its steps"),
+        ("--epochs 1000000000000", "at most 1,000,000,000,000 steps, got 1.87e+17"),
+        ("--task pendulum --hours 1e300", "at most 1,000,000,000,000 steps, got 1.8e+305"),
+        ("--task pendulum --hours 1e308", "at most 1,000,000,000,000 steps, got inf"),
         ("--epochs 0", "epochs must be a whole number from 1"),
         ("--task nothing", "there is no task 'nothing'"),
         ("--hidden 0", "hidden"),

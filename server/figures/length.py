@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
+from server.options import MOST_STEPS
 from server.terminal import InputError
 
 if TYPE_CHECKING:
@@ -56,10 +57,17 @@ def cut(length: int, about: int) -> tuple[int, int]:
 
 
 def steps_of(asked: Asked, task: Task) -> int | None:
-    """What was asked for in steps; None if nothing was."""
+    """What was asked for in steps; None if nothing was. Raises InputError for what is too long."""
     for length in (asked.epochs, asked.hours):
         if length is not None:
             if length <= 0:
                 raise InputError(f"a run must be longer than nothing, got {length:g}")
-            return max(1, round(length * time_of(asked, task).steps))
-    return asked.steps
+            return _whole(length * time_of(asked, task).steps)
+    return None if asked.steps is None else _whole(asked.steps)
+
+
+def _whole(steps: float) -> int:
+    """So many steps in whole ones, at least one."""
+    if steps > MOST_STEPS:
+        raise InputError(f"a run has at most {MOST_STEPS:,} steps, got {steps:.3g}: ask for fewer")
+    return max(1, round(steps))

@@ -26,7 +26,7 @@ from server.figures.curves import (
     setting,
     words_of,
 )
-from server.figures.length import cut
+from server.figures.length import cut, steps_of
 from server.figures.scales import Course, course, scales
 from server.figures.sheet import IDLE, INK, SMALL, TINY, Sheet, Table, blank, color, look
 from sims.pendulum import Pendulum
@@ -74,7 +74,7 @@ def make(order: Order, work: Work) -> Sheet:
     """Default 16 runs of every preset, for as long as each needs; quick 3 short ones."""
     presets = [order.preset] if order.preset else list(SECONDS)
     lanes = order.lanes or (3 if order.quick else 16)
-    plans = [_plans(preset, _seconds(order, preset), lanes, order.seed) for preset in presets]
+    plans = [_plans(preset, _steps(order, preset), lanes, order.seed) for preset in presets]
     baselines = measured_baselines(order.seed, _QUICK_EPISODES if order.quick else _EPISODES)
     found = iter(work.curves([plan for scale in plans for plan in scale]))
     curves = [_curve(scale, [next(found) for _ in scale]) for scale in plans]
@@ -103,16 +103,12 @@ def _numbers(curves: Sequence[_Curve], baselines: dict[str, float]) -> dict[str,
     return {"lanes": curves[0].plan.lanes, **baselines, "presets": presets, **says}
 
 
-def _seconds(order: Order, preset: str) -> float:
-    if order.hours is not None:
-        return order.hours * 3600.0
-    if order.quick:
-        return _QUICK_SECONDS
-    return SECONDS.get(preset, OTHER_SECONDS)
+def _steps(order: Order, preset: str) -> int:
+    seconds = _QUICK_SECONDS if order.quick else SECONDS.get(preset, OTHER_SECONDS)
+    return steps_of(order, Pendulum()) or round(seconds / PLANT.time_step)
 
 
-def _plans(preset: str, seconds: float, lanes: int, seed: int) -> list[Plan]:
-    steps = max(1, round(seconds / PLANT.time_step))
+def _plans(preset: str, steps: int, lanes: int, seed: int) -> list[Plan]:
     segments, segment_steps = cut(steps, _SEGMENTS)
     whole = Plan(
         task="pendulum", preset=preset, seed=seed, lanes=lanes, segments=segments,

@@ -2,7 +2,7 @@
 
 Errors are those of a frozen copy, in one pass over each set. Every run has a split of its own and
 its own first weights. Beside them stand the errors that Gorman and Sejnowski (1988) reached by
-back-propagation with six hidden units, as the paper quotes them.
+back-propagation with six hidden units.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from server import palette
 from server.experiments import Curves, Plan
 from server.figures.curves import lane_columns, preset_note, setting, words_of
-from server.figures.length import cut
+from server.figures.length import cut, steps_of
 from server.figures.sheet import INK, SMALL, Sheet, Table, blank, color, look, mark_end
 from sims.sonar import Sonar
 
@@ -56,7 +56,8 @@ def make(order: Order, work: Work) -> Sheet:
     size = _QUICK if order.quick else _FULL
     task = Sonar(order.preset or size.preset)
     length = size.epochs if order.quick else _EPOCHS.get(task.plain_preset, size.epochs)
-    segments, epochs = cut(order.epochs or length, _EVALUATIONS)
+    steps = steps_of(order, task) or length * task.epoch
+    segments, epochs = cut(steps // task.epoch, _EVALUATIONS)
     plan = Plan(
         task="sonar", preset=task.preset_name, seed=order.seed, lanes=order.lanes or size.lanes,
         segments=segments, segment_steps=epochs * task.epoch, evaluate=1,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import math
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hebbviz.limits import check_beta, check_gamma
 from server.experiments import Plan
@@ -17,8 +17,6 @@ from server.figures.length import steps_of
 from server.making import DEFAULT_TASK
 from server.terminal import InputError
 from sims.loading import make_task
-
-Array = NDArray[np.float64]
 
 MOST_VALUES = 1000
 """Of a list, and points of a map."""
@@ -32,7 +30,7 @@ def parse_betas(text: str) -> tuple[float, ...]:
 
     Of a range the time constants 1/(1 - β) are a geometric series. Raises ValueError.
     """
-    return _parse(text, check_beta, lambda a, b, n: 1.0 - np.geomspace(1.0 - a, 1.0 - b, n))
+    return _parse(text, check_beta, _time_constants)
 
 
 def parse_gammas(text: str) -> tuple[float, ...]:
@@ -40,14 +38,20 @@ def parse_gammas(text: str) -> tuple[float, ...]:
     return _parse(text, check_gamma, _series)
 
 
-def _series(first: float, last: float, count: int) -> Array:
+def _time_constants(first: float, last: float, count: int) -> list[float]:
+    """Beside a β of 0.999999 six digits tell no more: then as many as 1 - β needs for two."""
+    gaps = np.geomspace(1.0 - first, 1.0 - last, count)
+    return [round_off(1.0 - gap, max(6, 2 - math.floor(math.log10(gap)))) for gap in gaps]
+
+
+def _series(first: float, last: float, count: int) -> list[float]:
     if min(first, last) <= 0.0:
         raise ValueError("a range of gamma must lie above 0: add 0 as a value of its own")
-    return np.geomspace(first, last, count)
+    return [round_off(value) for value in np.geomspace(first, last, count)]
 
 
 def _parse(
-    text: str, check: Callable[[float], float], series: Callable[[float, float, int], Array]
+    text: str, check: Callable[[float], float], series: Callable[[float, float, int], list[float]]
 ) -> tuple[float, ...]:
     values: set[float] = set()
     for part in text.split(","):
@@ -56,15 +60,15 @@ def _parse(
                 values.add(check(_number(value, text)))
             case [first, last, count]:
                 ends = check(_number(first, text)), check(_number(last, text))
-                values |= {round_off(v) for v in series(*ends, _count(count))}
+                values |= {check(value) for value in series(*ends, _count(count))}
             case _:
                 raise _wrong(text)
     return tuple(sorted(values))
 
 
-def round_off(value: float) -> float:
+def round_off(value: float, digits: int = 6) -> float:
     """A value that is the same when it is written down and read again."""
-    return float(f"{value:.6g}")
+    return float(f"{value:.{digits}g}")
 
 
 def _number(text: str, whole: str) -> float:

@@ -85,7 +85,7 @@ def _draw(sweep: Sweep, task: Task, points: Sequence[Outcome], untrained: Outcom
     )  # fmt: skip
     axes.grid(visible=False)
     axes.set_xticks(range(columns), [shown(g) for g in sweep.gammas])
-    axes.set_yticks(range(rows), [f"{b:g}" for b in sweep.betas])
+    axes.set_yticks(range(rows), [f"{b:.16g}" for b in sweep.betas])
     axes.set(xlabel="step size γ", ylabel="β")
     unit = f", {task.measure.unit}" if task.measure.unit else ""
     figure.colorbar(image, ax=axes, label=f"{task.measure.name}{unit}", pad=0.02)
