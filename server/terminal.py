@@ -80,17 +80,30 @@ def reason(error: OSError) -> str:
 
 
 def place(args: argparse.Namespace, error: BaseException) -> str:
-    """Where in the user's own file an error came from, as '(my.py, line 12)', or nothing."""
+    """Where in the user's own file an error came from, as ' (my.py, line 12)', or nothing."""
+    for file in _own(args).values():
+        found = place_in(file, error)
+        if found:
+            return f" {found}"
+    return ""
+
+
+def place_in(file: Path, error: BaseException) -> str:
+    """Where in a file an error came from, as '(my.py, line 12)', or nothing.
+
+    A traceback does not come out of another process. There this is to be a note on the error, and
+    is found again here.
+    """
     causes = [error]
     while causes[-1].__cause__ is not None:
         causes.append(causes[-1].__cause__)
     for cause in reversed(causes):
         frames = traceback.extract_tb(cause.__traceback__)
-        for file in _own(args).values():
-            lines = [f.lineno for f in frames if Path(f.filename).resolve() == file]
-            if lines:
-                return f" ({file.name}, line {lines[-1]})"
-    return ""
+        lines = [f.lineno for f in frames if Path(f.filename).resolve() == file]
+        if lines:
+            return f"({file.name}, line {lines[-1]})"
+    notes = (n for cause in causes for n in getattr(cause, "__notes__", ()))
+    return next((n for n in notes if n.startswith(f"({file.name}, line ")), "")
 
 
 def _own(args: argparse.Namespace) -> dict[str, Path]:

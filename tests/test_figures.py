@@ -371,6 +371,29 @@ def test_what_cannot_be_drawn_is_said_in_one_line(options, said, tmp_path, capsy
     assert err.count("\n") == 1
     assert said in err
     assert file.read_text() == "mine"
+    assert not (tmp_path / "out").exists(), "an empty folder is left"
+
+
+def test_a_task_that_breaks_is_told_with_the_place_as_train_tells_it(tmp_path, capsys):
+    """Also where a process of its own ran it, of which no traceback comes."""
+    own = tmp_path / "own.py"
+    text = Path(LEVER.rpartition(":")[0]).read_text()
+    own.write_text(broken := text.replace("return state[1]", "return {}['none']"))
+    place = f"(own.py, line {1 + broken[: broken.index('return {}[')].count(chr(10))})"
+    task = ["--task", f"{own}:Lever"]
+    assert main(["train", *task, "--steps", "10"]) == 2
+    trained = capsys.readouterr().err.partition(place)
+    assert main(["figure", "learning", *task, "--quick", "--out", str(tmp_path / "out")]) == 2
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert line == f"{trained[0]}{place}"
+
+
+def test_a_task_may_be_written_in_another_encoding(tmp_path):
+    own = tmp_path / "own.py"
+    text = Path(LEVER.rpartition(":")[0]).read_text()
+    own.write_bytes(b"# -*- coding: latin-1 -*-\n" + f"# défaut\n{text}".encode("latin-1"))
+    made = Made("learning", tmp_path / "out", f"--task {own}:Lever --lanes 1 --steps 100")
+    assert made.says["steps"] == 100
 
 
 @pytest.mark.parametrize("preset", ["quick", "best", "best:centred=no"])

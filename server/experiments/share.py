@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from hebbviz.learner import Learner
 from hebbviz.moments import Keyframe
 from server.experiments.plan import Curves, Plan
 from server.stretches import stretches
-from server.terminal import WorkersFailed
+from server.terminal import WorkersFailed, place_in
 
 Array = NDArray[np.float64]
 
@@ -95,9 +96,15 @@ def bring_on(plan: Plan, tile: Tile, seconds: float, version: str, digest: str) 
             "version for all workers"
         )
     _check_unchanged(plan, digest)
-    share = _Share(plan, tile)
-    _check_unchanged(plan, digest)  # nor was it edited since: this text is the one that was run
-    share.run(time.monotonic() + seconds)
+    try:
+        share = _Share(plan, tile)
+        _check_unchanged(plan, digest)  # nor was it edited since: this text is the one that was run
+        share.run(time.monotonic() + seconds)
+    except Exception as error:
+        where = place_in(Path(plan.task.rpartition(":")[0]), error)
+        if where:
+            error.add_note(where)
+        raise
     return share.tile()
 
 

@@ -18,10 +18,12 @@ from tqdm import tqdm  # type: ignore[import-untyped]
 
 from hebbviz import __version__
 from server.experiments import Curves, Interrupted, Plan, open_workers, run_all
-from server.figures.order import Order
+from server.figures.length import steps_of
+from server.figures.order import KINDS, Order
 from server.figures.sheet import Origin, Sheet, check_replaces, save
 from server.terminal import InputError, check_writable, reason
 from server.train import announced_on_terminal
+from sims.loading import make_task
 
 _BAR = "{desc} {percentage:3.0f} %|{bar}| {elapsed} gone, {remaining} left"
 _REDRAW_SECONDS, _LOG_SECONDS = 0.2, 15.0
@@ -54,6 +56,7 @@ def make(order: Order, stop: threading.Event) -> dict[str, Any] | None:
     None once `stop` was set: what was done is kept. Raises InputError, ValueError, TaskError and
     OSError for what the user can mend.
     """
+    steps_of(order, make_task(order.task or KINDS[order.name].task, order.preset))  # can it be run?
     prepare_folder(order.out)
     origin = Origin(order.command, order.seed)
     check_replaces(order.out, order.file, origin)

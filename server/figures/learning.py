@@ -17,9 +17,9 @@ from server.figures.curves import (
     words_of,
 )
 from server.figures.length import Time, cut, steps_of, time_of
+from server.figures.order import KINDS
 from server.figures.scales import Course, even_course
 from server.figures.sheet import Sheet, Table, blank, color, look
-from server.making import DEFAULT_TASK
 from sims.loading import make_task
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ _TITLE_LETTERS = 76
 
 def make(order: Order, work: Work) -> Sheet:
     """Default 16 runs of 10⁶ steps; quick 3 of 20 000."""
-    name = order.task or DEFAULT_TASK
+    name = order.task or KINDS[order.name].task
     task = make_task(name, order.preset)
     time = time_of(order, task)
     steps = steps_of(order, task) or (20_000 if order.quick else 10**6)

@@ -8,33 +8,41 @@ import shlex
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+from server.making import DEFAULT_TASK
 from server.terminal import InputError
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A figure: what it shows, and the options that it takes besides --out, --seed and --quick."""
+    """A figure: what it shows, of which task unless another is asked for, and the options that it
+    takes besides --out, --seed and --quick.
+    """
 
     shows: str
+    task: str
     takes: tuple[str, ...] = ()
 
 
 KINDS = {
-    "synapse": Kind("the sequences (a)-(l) of the paper's figure of synaptic updates"),
+    "synapse": Kind("the sequences (a)-(l) of the paper's figure of synaptic updates", "synapse"),
     "gradient": Kind(
         "the angle from the rule's running estimate to the exact gradient, for several β",
+        "gradient",
         ("lanes", "scheduler"),
     ),
     "sonar": Kind(
         "training and test error of many runs, mean and standard deviation",
+        "sonar",
         ("preset", "lanes", "epochs", "scheduler"),
     ),
     "pendulum": Kind(
         "time to fall, each run and the median, for every preset",
+        "pendulum",
         ("preset", "lanes", "hours", "scheduler"),
     ),
     "learning": Kind(
         "the learning curves of any task, also your own",
+        DEFAULT_TASK,
         ("task", "preset", "lanes", "epochs", "hours", "steps", "scheduler"),
     ),
 }
