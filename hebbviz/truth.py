@@ -42,7 +42,7 @@ class GradientTruth:
 
     def expected_angles(self, steps: Array) -> Array:
         """Degrees to be expected of the mean of r z over so many steps, as `steps` in shape."""
-        return _degrees(expected_cosine(self.gradient, self.biased, self.noise, steps))
+        return degrees_of(expected_cosine(self.gradient, self.biased, self.noise, steps))
 
 
 def expected_cosine(g: Array, m: Array, noise: Array, steps: Array | float) -> Array:
@@ -58,12 +58,13 @@ def expected_cosine(g: Array, m: Array, noise: Array, steps: Array | float) -> A
 def angle_between(a: Array, b: Array) -> Array:
     """Degrees from one vector (K,) to another, or to each of (K, n); NaN where one is zero."""
     lengths = np.linalg.norm(a) * np.linalg.norm(b, axis=0)
-    return _degrees(a @ b / _or_nan(lengths))
+    return degrees_of(a @ b / _or_nan(lengths))
 
 
 def _or_nan(lengths: Array) -> Array:
     return np.where(lengths > 0.0, lengths, np.nan)
 
 
-def _degrees(cosine: Array) -> Array:
+def degrees_of(cosine: Array) -> Array:
+    """The angle of a cosine, which rounding may have put beyond ±1."""
     return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))

@@ -21,9 +21,10 @@ from hebbviz.learner import Learner
 from hebbviz.truth import angle_between
 from server.cli import main
 from server.experiments import Curves, Plan
+from server.experiments.share import Tile, bring_on
 from server.figures import learning
 from server.figures.curves import preset_note
-from server.figures.gradient import BETAS, STILL, Watched
+from server.figures.gradient import BETAS, STILL, Watched, Watching, angle_of_all
 from server.figures.length import Time
 from server.figures.order import KINDS, Order
 from server.figures.scales import even_course
@@ -211,6 +212,8 @@ def test_gradient_shows_the_angles_of_real_learners_and_of_the_exact_chain(made)
         assert columns["steps"][rows][-1] == steps
         assert figure.says["angle"][k] == pytest.approx(last.mean(), rel=1e-12)
         assert columns["angle_mean"][rows][-1] == pytest.approx(last.mean(), rel=1e-12)
+        assert figure.says["angle_of_all"][k] == columns["angle_of_all"][rows][-1]
+        assert columns["angle_of_all"][rows][-1] == pytest.approx(last.mean(), abs=5.0)
         cosine = np.cos(np.radians(columns["angle_expected"][rows][-1]))
         assert cosine == pytest.approx(chain.expected_cosine(beta, steps=steps), abs=1e-9)
         bias = angle_between(chain.gradient, chain.biased_gradient(beta))
@@ -231,6 +234,26 @@ def test_an_estimate_is_at_a_right_angle_as_long_as_it_has_no_direction():
     learner.set_weights(learner.weights + 1e-3 * toward)
     angle = learner.task.evaluate(learner)["angle"]
     np.testing.assert_allclose(angle, [0.0, 180.0, 90.0], atol=1e-4)
+
+
+def test_the_angle_of_all_estimates_is_that_of_their_sums():
+    """Of as many as can be it is what is expected; the mean of their angles is another thing."""
+    estimates = np.random.default_rng(0).normal(0.3, 1.0, (5, 40))
+    truth, length = np.arange(1.0, 6.0), np.linalg.norm(estimates, axis=0)
+    cosine = (truth @ estimates).mean() / np.linalg.norm(truth) / np.sqrt((length**2).mean())
+    found = angle_of_all(angle_between(truth, estimates), length)
+    assert np.cos(np.radians(found)) == pytest.approx(cosine, rel=1e-12)
+    assert angle_of_all(np.full(3, 90.0), np.zeros(3)) == 90.0
+
+    lanes = 1024
+    plan = Watching(beta=0.8, gamma=STILL, lanes=lanes, segments=1, segment_steps=20_000,
+                    evaluate=1)  # fmt: skip
+    tile = bring_on(plan, Tile(0, lanes), 1e9, hebbviz.__version__, plan.digest())
+    angle, length = (tile.curves(plan).figures[name][:, 1] for name in ("angle", "length"))
+    network, weights = small_example()
+    expected = np.degrees(np.arccos(network.at(weights).expected_cosine(0.8, steps=20_000)))
+    assert angle_of_all(angle, length) == pytest.approx(expected, abs=0.5)
+    assert angle.mean() < expected - 1.0
 
 
 @pytest.mark.slow

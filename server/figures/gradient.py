@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hebbviz.learner import Learner
 from hebbviz.task import Task
-from hebbviz.truth import GradientTruth, angle_between
+from hebbviz.truth import GradientTruth, angle_between, degrees_of
 from server import palette
 from server.experiments import Curves, Plan
 from server.figures.scales import scales, spaced
@@ -36,6 +36,11 @@ Array = NDArray[np.float64]
 BETAS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99)
 STILL = 1e-9
 """A step size at which the weights move by less than 1e-3 in 10⁷ steps."""
+
+_TOGETHER = (
+    "Together, n estimates x are at the angle to the gradient g whose cosine is "
+    "Σ x·g / (|g| √(n Σ |x|²)): what is expected of that is known exactly."
+)
 
 _POINTS = 100
 """Evaluations of a plan."""
@@ -56,12 +61,14 @@ class Watched(Lamps):
         return self._weights.copy()
 
     def evaluate(self, learner: Learner) -> dict[str, Array]:
-        """The angle from Δw, which is γ t times the mean of r z, to ∇η in degrees, (lanes,).
+        """The angle from Δw, which is γ t times the mean of r z, to ∇η in degrees, and the length
+        of Δw, each (lanes,).
 
-        90 before the first step, when Δw has no direction.
+        The angle is 90 before the first step, when Δw has no direction.
         """
         moved = learner.weights - self._weights[:, None]
-        return {"angle": np.where(moved.any(axis=0), angle_between(self._gradient, moved), 90.0)}
+        angle = np.where(moved.any(axis=0), angle_between(self._gradient, moved), 90.0)
+        return {"angle": angle, "length": np.linalg.norm(moved, axis=0)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,11 +99,12 @@ def make(order: Order, work: Work) -> Sheet:
     numbers: dict[str, Any] = {
         "lanes": lanes, "steps": steps, "beta": list(BETAS),
         "angle": [float(c.angle[:, -1].mean()) for c in courses],
+        "angle_of_all": [float(c.of_all[-1]) for c in courses],
         "bias": [c.bias for c in courses],
         "expected_angle": [float(c.expected[-1]) for c in courses],
     }  # fmt: skip
-    note = f"quick: {lanes} estimates of {steps:,} steps in place of 16 of 10,000,000"
-    return Sheet(figure, _table(courses), numbers, note if order.quick else "")
+    quick = f"quick: {lanes} estimates of {steps:,} steps in place of 16 of 10,000,000\n"
+    return Sheet(figure, _table(courses), numbers, (quick if order.quick else "") + _TOGETHER)
 
 
 def _plans(beta: float, lanes: int, steps: int, seed: int) -> list[Watching]:
@@ -109,37 +117,56 @@ def _plans(beta: float, lanes: int, steps: int, seed: int) -> list[Watching]:
 
 @dataclass(frozen=True)
 class _Course:
-    """Of one β: steps (n,), the angle of each estimate (lanes, n), and what is exact."""
+    """Of one β: steps (n,), the angle of each estimate and that of all (lanes, n) and (n,), and
+    what is exact: the bias, and what is expected of the angle of all.
+    """
 
     beta: float
     steps: NDArray[np.int64]
     angle: Array
+    of_all: Array
     bias: float
     expected: Array
+
+
+def angle_of_all(angle: Array, length: Array) -> Array:
+    """Degrees whose cosine is Σ x·g / (|g| √(n Σ |x|²)), from the angles of n estimates x to the
+    gradient g and their lengths, (n, ...).
+
+    It goes to `Chain.expected_cosine` as n grows. The mean of the angles does not: a short
+    estimate, which has been led astray, counts there as much as a long one.
+    """
+    along = (length * np.cos(np.radians(angle))).mean(axis=0)
+    spread = np.sqrt((length**2).mean(axis=0))
+    return degrees_of(along / np.where(spread > 0.0, spread, 1.0))
 
 
 def _course(beta: float, curves: list[Curves], truth: GradientTruth) -> _Course:
     """The scales joined, at points that are about equally far apart on a logarithmic axis."""
     steps = np.concatenate([c.evaluated_at[1:] for c in curves])
-    angle = np.concatenate([c.figures["angle"][:, 1:] for c in curves], axis=1)
     steps, at = np.unique(steps, return_index=True)
     chosen = spaced(steps, 12)
-    steps, angle = steps[chosen], angle[:, at[chosen]]
-    return _Course(beta, steps, angle, truth.bias_angle, truth.expected_angles(steps))
+    steps, at = steps[chosen], at[chosen]
+    angle, length = (
+        np.concatenate([c.figures[name][:, 1:] for c in curves], axis=1)[:, at]
+        for name in ("angle", "length")
+    )
+    of_all = angle_of_all(angle, length)
+    return _Course(beta, steps, angle, of_all, truth.bias_angle, truth.expected_angles(steps))
 
 
 def _table(courses: list[_Course]) -> Table:
     columns: dict[str, list[float]] = {
-        "beta": [], "steps": [], "angle_mean": [], "angle_sd": [], "angle_expected": [],
-        "angle_of_bias": [],
+        "beta": [], "steps": [], "angle_mean": [], "angle_sd": [], "angle_of_all": [],
+        "angle_expected": [], "angle_of_bias": [],
     }  # fmt: skip
     lanes = len(courses[0].angle)
     columns |= {f"angle_{k}": [] for k in range(lanes)}
     for c in courses:
-        rows = zip(c.steps, c.angle.mean(axis=0), c.angle.std(axis=0), c.expected, c.angle.T,
-                   strict=True)  # fmt: skip
-        for steps, mean, sd, expected, each in rows:
-            row = (c.beta, int(steps), mean, sd, expected, c.bias, *each)
+        rows = zip(c.steps, c.angle.mean(axis=0), c.angle.std(axis=0), c.of_all, c.expected,
+                   c.angle.T, strict=True)  # fmt: skip
+        for steps, mean, sd, of_all, expected, each in rows:
+            row = (c.beta, int(steps), mean, sd, of_all, expected, c.bias, *each)
             for column, value in zip(columns.values(), row, strict=True):
                 column.append(value if isinstance(value, int) else float(value))
     return columns
@@ -154,7 +181,7 @@ def _draw(courses: list[_Course], lanes: int) -> Figure:
         axes.fill_between(c.steps, np.maximum(mean - sd, 0.1), mean + sd, color=shade, alpha=0.18,
                           lw=0)  # fmt: skip
         axes.plot(c.steps, c.expected, color=INK, lw=0.7, ls=(0, (4, 2)), alpha=0.7, zorder=4)
-        axes.plot(c.steps, mean, color=shade, zorder=3)
+        axes.plot(c.steps, c.of_all, color=shade, zorder=3)
         axes.axhline(c.bias, color=shade, lw=1.0, ls=(0, (1, 1.6)), zorder=1)
         mark_end(axes, float(last), c.bias, f"β = {c.beta:g}", shade)
     axes.set(xscale="log", yscale="log", xlim=(100, last), ylim=(0.1, 130),
@@ -165,8 +192,8 @@ def _draw(courses: list[_Course], lanes: int) -> Figure:
     axes.set_title("The rule's estimate of the gradient: short traces are biased, long ones noisy")
     axes.text(
         0.012, 0.03,
-        f"line and band: mean ± standard deviation of {lanes} independent estimates\n"
-        "dashed: what is expected at t steps, and dotted: the bias of each β, both exact",
+        f"line: {lanes} independent estimates together; band: mean ± standard deviation of them\n"
+        "dashed: the line as it is expected at t steps, dotted: the bias of each β, both exact",
         transform=axes.transAxes, fontsize=SMALL, va="bottom", linespacing=1.4,
     )  # fmt: skip
     return figure
