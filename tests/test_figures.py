@@ -22,12 +22,12 @@ from hebbviz.truth import angle_between
 from server.cli import main
 from server.experiments import Curves, Plan
 from server.experiments.share import Tile, bring_on
-from server.figures import learning
+from server.figures import learning, pendulum
 from server.figures.curves import preset_note
 from server.figures.gradient import BETAS, STILL, Watched, Watching, angle_of_all
 from server.figures.length import Time
 from server.figures.order import KINDS, Order
-from server.figures.scales import even_course
+from server.figures.scales import Course, even_course
 from server.figures.sheet import Origin, Sheet, blank, look, save
 from server.options import parse
 from sims import TASKS
@@ -301,6 +301,20 @@ def test_pendulum_shows_the_falls_of_every_run(made):
         assert says["presets"][preset]["mean_time_to_fall_s"][1] == pytest.approx(late, rel=1e-12)
         end = columns["mean_time_to_fall_s_median"][rows][-1]
         assert says["presets"][preset]["mean_time_to_fall_s_median_at_end"] == end
+
+
+@pytest.mark.parametrize(("highest", "top"), [(100.0, 3e4), (4e5, 6e5)])
+def test_no_time_to_fall_is_cut_off(highest, top):
+    values = np.array([[0.5, 2.0, 50.0], [0.5, 9.0, highest]])
+    steps = np.array([500, 50_000, 5_000_000])
+    plan = Plan(task="pendulum", preset="quick", lanes=2, segments=1, segment_steps=5_000_000)
+    course = Course(steps, values, np.zeros((2, 3), dtype=bool))
+    ones = np.ones((2, 1))
+    curves = Curves(steps[-1:], plan.steps, ones, ones, ones, steps[:0], {})
+    with look():
+        figure = pendulum._draw([pendulum._Curve(plan, curves, course)],
+                                {"random_thrust_s": 0.6, "constant_thrust_s": 0.3})  # fmt: skip
+    assert figure.axes[0].get_ylim() == (0.15, top)
 
 
 def test_learning_shows_the_measure_of_a_users_task(made):

@@ -44,7 +44,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 SECONDS = {"quick": 1e5, "raw": 1.5e6, "paper": 4e6, "literal": 1e6}
-"""Simulated seconds in which each preset shows what it can; any other has `OTHER_SECONDS`."""
+"""Simulated seconds in which each preset shows what it can, but for `paper`, which stops in
+mid-rise. Any other has `OTHER_SECONDS`.
+"""
 OTHER_SECONDS = 1e5
 
 WHY_FLAT = (
@@ -52,11 +54,18 @@ WHY_FLAT = (
     "to\nbalance, and at γ = 10⁻⁶ the weights have\nhardly moved yet. It takes over 10⁷ s."
 )
 
+POINT = (
+    "A point is the time of a block divided by the falls in it; blocks are equally long on the "
+    "axis, so that they grow along it."
+)
+
 _QUICK_SECONDS = 10_000.0
 _SEGMENTS = 500
 _FIRST = round(10.0 / PLANT.time_step)
 """Steps: where the axis of time begins."""
 _PER_DECADE = 12
+_LOWEST, _HIGHEST = 0.15, 3e4
+"""Time to fall in s: ends of the axis, unless a run gets higher."""
 _EPISODES, _QUICK_EPISODES = 1000, 200
 _COLORS = {"quick": 5, "raw": 2, "paper": 4, "literal": 3}
 
@@ -81,7 +90,8 @@ def make(order: Order, work: Work) -> Sheet:
     with look():
         figure = _draw(curves, baselines)
     quick = f"quick: {lanes} short runs in place of 16 runs of up to 4·10⁶ simulated seconds\n"
-    notes = (quick if order.quick else "") + (preset_note(curves[0].plan) if order.preset else "")
+    about = f"\n{preset_note(curves[0].plan)}" if order.preset else ""
+    notes = (quick if order.quick else "") + POINT + about
     return Sheet(figure, _table(curves), _numbers(curves, baselines), notes)
 
 
@@ -180,7 +190,10 @@ def _draw(curves: Sequence[_Curve], baselines: dict[str, float]) -> Figure:
         grid[0, -1].set_title("○ at least this: most runs did not fall", loc="right", color=IDLE,
                               fontsize=TINY, fontweight="normal")  # fmt: skip
     last = max(c.plan.steps for c in curves) * PLANT.time_step
-    grid[0, 0].set(ylim=(0.15, 3e4), xlim=(min(_FIRST * PLANT.time_step, last / 100.0), last))
+    highest = max(_HIGHEST, 1.5 * max(c.course.values.max() for c in curves))
+    grid[0, 0].set(
+        ylim=(_LOWEST, highest), xlim=(min(_FIRST * PLANT.time_step, last / 100.0), last)
+    )
     figure.suptitle(
         f"Pendulum: time to fall, each of {curves[0].plan.lanes} runs, and the median bold",
         x=0.015, ha="left", fontsize=9.5, fontweight="bold",
