@@ -94,7 +94,7 @@ RATIOS = (
     Ratio("lanes_to_one_lane", "lanes, float64 / one lane", "lanes_float64", "one_lane"),
     Ratio("float32_to_float64", "lanes, float32 / float64", "lanes_float32", "lanes_float64"),
     Ratio("all_cores_to_one", "all cores / one core", "cores_float64", "lanes_float64"),
-    Ratio("pendulum_lanes_to_pymunk", "pendulum: lanes / pymunk", "pendulum_lanes", "pymunk"),
+    Ratio("pendulum_lanes_to_pymunk", "pendulum, float32 / pymunk", "pendulum_lanes", "pymunk"),
 )
 
 
@@ -160,8 +160,8 @@ def pendulums() -> Iterator[Contestant]:
     """The world in pymunk, and the compiled one."""
     world = Pendulum("raw")
     yield lanes(world, "pymunk", "pendulum, in pymunk", 1)
-    words = f"pendulum, compiled, {LANES} lanes"
-    yield lanes(world.in_lanes(), "pendulum_lanes", words, LANES, dtype=PRECISIONS[-1])
+    words = f"pendulum, compiled, {LANES} lanes, float32"
+    yield lanes(world.in_lanes(), "pendulum_lanes", words, LANES, dtype=np.float32)
 
 
 def reference(task: Task, key: str, name: str) -> Contestant:

@@ -28,6 +28,13 @@ def limit() -> ModuleType:
     return limit
 
 
+@pytest.fixture(scope="module")
+def speed(limit: ModuleType) -> ModuleType:
+    import speed
+
+    return speed
+
+
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_the_c_kernel_is_the_learner(limit: ModuleType, dtype: type, tmp_path: Path) -> None:
     """The same spikes in all lanes at every step, a change of the pattern among them."""
@@ -39,6 +46,23 @@ def test_the_c_kernel_is_the_learner(limit: ModuleType, dtype: type, tmp_path: P
     assert spikes == 0
     assert weights < (1e-12 if dtype is np.float64 else 1e-4)
     assert tile.activities.std() > 0.5  # they do fire, and not all
+
+
+def test_a_rival_whose_spikes_are_others_does_not_race(
+    speed: ModuleType,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    departs = {"steps": 9, "spikes": 99, "largest_difference_of_a_weight": 0.5}
+    monkeypatch.setattr(speed, "Tile", lambda *_: None)
+    monkeypatch.setattr(speed, "departure", lambda *_: (3, 0.5))
+    monkeypatch.setattr(speed, "ask_brian", lambda *_: departs | {"spikes_that_differ": 1})
+    assert [*speed.limits(tmp_path), *speed.brian(tmp_path)] == []
+    said = capsys.readouterr().err.splitlines()
+    assert ["left out" in line for line in said] == [True, True, True]
+    assert ["3 spikes differ" in line for line in said] == [True, True, False]
+    assert "1 spikes differ" in said[2]
 
 
 def test_bench_prints_figures_that_hold_together(capsys: pytest.CaptureFixture[str]) -> None:

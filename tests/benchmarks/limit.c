@@ -2,7 +2,7 @@
 
    The same work as a tile of 64 lanes does in hebbviz, with the same random numbers: the rule with
    held input for the 480 synapses from the inputs (hebbviz/rule.py has the equations), step by step
-   for the 8 from hidden to output neuron, Philox4x32-10 with hebbviz's counters, reward 1 where the
+   for the 8 from hidden to output neuron, Philox4x32-7 with hebbviz's counters, reward 1 where the
    output is right, a new pattern every HOLD steps. Every epoch has the order of the first one, which
    is given from outside: shuffling, 186 draws in 187 000 steps, is left out.
 

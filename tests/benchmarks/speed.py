@@ -4,7 +4,8 @@
 
 What `hebbviz bench` times, and in turn with it a C kernel of the same work (`limit.c`) and Brian2
 (`brian.py`); then the memory's bandwidth (`memory.py`). Each rival is first checked to compute the
-same thing as hebbviz. What cannot be had here is left out, with the reason. Compiling is not timed.
+same thing as hebbviz. One whose spikes are others, and what cannot be had here, is left out, with
+the reason. Compiling is not timed.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from limit import LANES, SYNAPSES, NoCompiler, Tile, departure
 from memory import traffic
 
-from server.bench import Contestant, Ratio, Speed, contestants, figures, race, table
+from server.bench import RATIOS, Contestant, Ratio, Speed, contestants, figures, race, table
 
 HERE = Path(__file__).parent
 BRIAN_STEPS = 20_000
@@ -58,10 +59,24 @@ BARS = (
     _bar("sonar lanes / C kernel, float32", "lanes_float32", "c_float32", 0.5),
     _bar("sonar lanes / C kernel, float64", "lanes_float64", "c_float64", 0.5),
     _bar("one lane / Brian2 in C++", "one_lane", "brian_cpp", 5.0),
-    _bar("pendulum lanes / pymunk", "pendulum_lanes", "pymunk", 30.0),
+    _bar("pendulum lanes, float32 / pymunk", "pendulum_lanes", "pymunk", 30.0),
     _bar("two cores / one, float32", "cores_float32", "lanes_float32", 1.8),
     _bar("two cores / one, float64", "cores_float64", "lanes_float64", 1.8),
 )
+
+
+TOLD = (
+    *RATIOS,
+    *(
+        Ratio(f"lanes_{p}_to_brian_cpp", f"lanes, {p} / Brian2 in C++", f"lanes_{p}", "brian_cpp")
+        for p in ("float32", "float64")
+    ),
+)
+"""Brian2 computes in float64: beside the ratio that has a bar stands that of like with like."""
+
+
+class Different(Exception):
+    """A rival does not compute the same; the message says how it departs."""
 
 
 class Program(Contestant):
@@ -99,30 +114,27 @@ def main() -> None:
     memory = traffic()
     if args.json:
         bars = {bar.ratio.key: bar.verdict(speeds) for bar in BARS}
-        said = figures(speeds) | {"bars": bars, "memory_fraction": memory.fraction}
+        said = figures(speeds, TOLD) | {"bars": bars, "memory_fraction": memory.fraction}
         sys.stdout.write(f"{json.dumps(said)}\n")
         return
-    sys.stdout.write(f"{table(speeds)}\n\n")
+    sys.stdout.write(f"{table(speeds, TOLD)}\n\n")
     sys.stdout.write("".join(f"{line}\n" for line in memory.lines()) + "\n")
     sys.stdout.write("".join(f"{bar.name:<38}{bar.verdict(speeds)}\n" for bar in BARS))
 
 
 def limits(folder: Path) -> Iterator[Contestant]:
     """The C kernel, in both precisions."""
-    try:
-        for dtype in (np.float32, np.float64):
-            name = np.dtype(dtype).name
-            spikes, weights = departure(Tile(dtype, folder), CHECKED)
-            note(
-                f"C kernel, {name}, against the learner, {CHECKED} steps of {LANES} lanes: "
-                f"{spikes} spikes differ, weights by {weights:.1g}"
-            )
-            tile = Tile(dtype, folder)
-            yield Contestant(
-                f"c_{name}", f"C kernel, {LANES} lanes, {name}", LANES, SYNAPSES, tile.skip
-            )
-    except NoCompiler as error:
-        note(f"C kernel left out: {error}")
+    for name in ("float32", "float64"):
+        try:
+            spikes, weights = departure(Tile(np.dtype(name).type, folder), CHECKED)
+            against = f"C kernel, {name}, against the learner, {CHECKED} steps of {LANES} lanes"
+            check_same(against, spikes, weights)
+        except (NoCompiler, Different) as error:
+            note(f"C kernel, {name}, left out: {error}")
+        else:
+            tile = Tile(np.dtype(name).type, folder)
+            words = f"C kernel, {LANES} lanes, {name}"
+            yield Contestant(f"c_{name}", words, LANES, SYNAPSES, tile.skip)
 
 
 def brian(folder: Path) -> Iterator[Contestant]:
@@ -130,16 +142,22 @@ def brian(folder: Path) -> Iterator[Contestant]:
     try:
         for device in ("runtime", "cpp_standalone"):
             found = ask_brian("check", device, str(folder / "check"))
-            note(
-                f"Brian2, {device}, against the reference, {found['steps']} steps: "
-                f"{found['spikes_that_differ']} of {found['spikes']} spikes differ, "
-                f"weights by {found['largest_difference_of_a_weight']:.1g}"
-            )
+            against = f"Brian2, {device}, against the reference, {found['steps']} steps"
+            departs = found["spikes_that_differ"], found["largest_difference_of_a_weight"]
+            check_same(against, *departs)
         ask_brian("build", str(folder / "brian"), str(BRIAN_STEPS))
-    except RuntimeError as error:
+    except (RuntimeError, Different) as error:
         note(f"Brian2 left out: {error}")
     else:
         yield Program(folder / "brian")
+
+
+def check_same(against: str, spikes: int, weights: float) -> None:
+    """Say how a rival departs; raise Different if that is by a spike."""
+    said = f"{against}: {spikes} spikes differ, weights by {weights:.1g}"
+    if spikes:
+        raise Different(said)
+    note(said)
 
 
 def ask_brian(*arguments: str) -> dict[str, Any]:
