@@ -8,7 +8,6 @@ counts.
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -22,6 +21,7 @@ from hebbviz.chance import FIRST_EPISODE, Draws
 from hebbviz.learner import Learner
 from hebbviz.reference import Reference
 from hebbviz.task import Task
+from server.experiments.workers import core_count
 from sims.pendulum import Pendulum
 from sims.sonar import Sonar
 
@@ -185,13 +185,6 @@ def reference(task: Task, key: str, name: str) -> Contestant:
             network.reinforce(task.reward(state))
 
     return Contestant(key, name, 1, topology.synapses, run)
-
-
-def core_count() -> int:
-    """How many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 # What is said of them

@@ -7,11 +7,13 @@ from __future__ import annotations
 import argparse
 import contextlib
 import errno
+import math
 import sys
 import tempfile
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 FINE, FAILED, BAD_INPUT = 0, 1, 2
 LONGEST_LINE = 600
@@ -114,6 +116,12 @@ def _own(args: argparse.Namespace) -> dict[str, Path]:
         for what, spec in given.items()
         if ".py:" in spec
     }
+
+
+def finite(value: Any) -> float | None:
+    """A number as strict JSON can say it, which knows no infinity: that is None."""
+    number = float(value)
+    return number if math.isfinite(number) else None
 
 
 def fail(code: int, message: str) -> int:

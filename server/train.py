@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import sys
 import threading
 import time
@@ -22,7 +21,7 @@ from server.recording.status import Status
 from server.run import Run
 from server.stretches import stretches
 from server.tape import Pace
-from server.terminal import tell
+from server.terminal import finite, tell
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -211,7 +210,7 @@ def own_figures(learner: Learner, training: Training) -> Figures:
     task = learner.task
     try:
         figures = task.results(learner, training.late)
-        own = {str(name): _finite(value) for name, value in figures.items()}
+        own = {str(name): finite(value) for name, value in figures.items()}
         is_bound = training.late.steps > 0 and task.score(training.late).is_bound
     except Exception as error:
         what = f"{type(error).__name__}: {error}"
@@ -231,23 +230,18 @@ def figures_of(learner: Learner, training: Training, task_name: str) -> Figures:
         "beta": learner.beta,
         "gamma": learner.gamma,
         "rule": str(learner.rule),
-        "fall": _finite(learner.fall),
+        "fall": finite(learner.fall),
         "gamma_in_force": learner.gamma_in_force,
         "frozen": learner.frozen,
         "seed": learner.seed,
         "steps": steps,
         "total_steps": learner.step,
         "seconds": training.seconds,
-        "steps_per_second": _finite(steps / max(training.seconds, 1e-9)) if steps else None,
+        "steps_per_second": finite(steps / max(training.seconds, 1e-9)) if steps else None,
         "late_steps": late.steps,
-        "average_reward": _finite(late.average_reward) if late.steps else None,
+        "average_reward": finite(late.average_reward) if late.steps else None,
         "version": hebbviz.__version__,
     }
-
-
-def _finite(value: Any) -> float | None:
-    number = float(value)
-    return number if math.isfinite(number) else None
 
 
 def describe(figures: Figures, own: Figures) -> str:

@@ -79,7 +79,7 @@ class _Cores:
     """
 
     def __init__(self) -> None:
-        self._cores = _cores()
+        self._cores = core_count()
         self._executors: dict[bool, Executor] = {}
 
     def count(self) -> int:
@@ -113,7 +113,8 @@ class _Cores:
         )
 
 
-def _cores() -> int:
+def core_count() -> int:
+    """How many cores this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

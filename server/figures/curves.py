@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.rules.paper import PAPER
+from server.terminal import finite
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,11 +52,6 @@ def shown(number: float) -> str:
         return digits
     power = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
     return f"10{power}" if digits == "1" else f"{digits}·10{power}"
-
-
-def finite(value: Any) -> float | None:
-    """Fit for strict JSON."""
-    return float(value) if np.isfinite(value) else None
 
 
 def lane_columns(name: str, values: NDArray[Any]) -> dict[str, list[Any]]:

@@ -12,6 +12,7 @@ from hebbviz.task import Tally
 from server.recording.header import change_to_json
 from server.recording.reader import Recording
 from server.recording.thinning import words as size_of
+from server.terminal import finite
 
 Figures = dict[str, Any]
 """By name, fit for strict JSON."""
@@ -53,7 +54,7 @@ def figures(recording: Recording) -> Figures:
         "budget": header.budget,
         "thinning": header.thinning,
         "late_steps": late.steps,
-        "late_average_reward": _finite(late.average_reward) if late.steps else None,
+        "late_average_reward": finite(late.average_reward) if late.steps else None,
         "late_episodes_ended": int(late.ended) if math.isfinite(late.ended) else None,
         "machine": header.machine,
         "versions": header.versions,
@@ -105,7 +106,3 @@ def _late(recording: Recording) -> Tally:
     edges = tuple(e for e in edges if e.steps >= recording.header.step) or edges[-1:]
     first = edges[0].steps + (edges[-1].steps - edges[0].steps) * 4 / 5
     return edges[-1] - next(e for e in reversed(edges) if e.steps <= first)
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

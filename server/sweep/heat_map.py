@@ -8,8 +8,9 @@ import numpy as np
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import Rectangle
 
-from server.figures.curves import finite, lane_columns, shown, words_of
+from server.figures.curves import lane_columns, shown, words_of
 from server.figures.sheet import IDLE, INK, SMALL, Sheet, Table, blank, look
+from server.terminal import finite
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
