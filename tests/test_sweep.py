@@ -172,6 +172,19 @@ def test_more_values_go_on_from_what_is_there(made, monkeypatch):
     assert more["points"][:6] == says["points"]
 
 
+def test_a_map_does_not_write_over_one_of_another_network(tmp_path, capsys, monkeypatch):
+    """In the folder that it goes to unless told; one with other values takes its place."""
+    monkeypatch.chdir(tmp_path)
+    sonar = ["sweep", "--task", "sonar", "--lanes", "1", "--steps", "50"]
+    assert main([*sonar, "--gamma", "0.1"]) == 0
+    before = Path("sweep/sweep.csv").read_bytes()
+    for other in (["--preset", "paper"], ["--hidden", "3"], ["--task", "pendulum"]):
+        assert main([*sonar, *other]) == 2
+        assert "sweep.csv is of another command and is not written" in capsys.readouterr().err
+    assert Path("sweep/sweep.csv").read_bytes() == before
+    assert main([*sonar, "--gamma", "0.1,0.2"]) == 0
+
+
 @pytest.mark.slow
 def test_ctrl_c_and_the_same_command_again(tmp_path):
     """Stopped in its midst it says so; gone on with, it comes to what one go comes to."""

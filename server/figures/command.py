@@ -58,8 +58,7 @@ def make(order: Order, stop: threading.Event) -> dict[str, Any] | None:
     """
     steps_of(order, make_task(order.task or KINDS[order.name].task, order.preset))  # can it be run?
     prepare_folder(order.out)
-    origin = Origin(order.command, order.seed)
-    check_replaces(order.out, order.file, origin)
+    check_replaces(order.out, order.file, f"{order.command}\n")
     began = time.perf_counter()
     folder = unfinished(order)
     try:
@@ -67,7 +66,7 @@ def make(order: Order, stop: threading.Event) -> dict[str, Any] | None:
             sheet = draw(order, Work(folder, stop, progress, order.scheduler))
     except Interrupted:
         return None
-    files = save(sheet, order.out, order.file, origin)
+    files = save(sheet, order.out, order.file, Origin(order.command, order.seed))
     shutil.rmtree(folder, ignore_errors=True)
     return {
         "figure": order.name, "files": [str(path) for path in files], "command": order.command,

@@ -144,11 +144,12 @@ def save(sheet: Sheet, folder: Path, name: str, origin: Origin) -> list[Path]:
     return [_write(folder / f"{name}.{kind}", data) for kind, data in made.items()]
 
 
-def check_replaces(folder: Path, name: str, origin: Origin) -> None:
-    """Raise InputError if files of the name are there that another command made."""
+def check_replaces(folder: Path, name: str, command: str) -> None:
+    """Raise InputError if files of the name are there that another command made: one that does not
+    begin so.
+    """
     table = folder / f"{name}.csv"
-    head, *_ = _head(origin.items())
-    if table.exists() and not table.read_bytes().startswith(head.encode()):
+    if table.exists() and not table.read_bytes().startswith(f"# command: {command}".encode()):
         raise InputError(
             f"{table} is of another command and is not written over: move it away, or name another "
             "folder for --out"
@@ -196,15 +197,11 @@ def _small_print(figure: Figure, origin: Origin, said: Sequence[str]) -> None:
 
 def _csv(table: Table, about: Mapping[str, str]) -> bytes:
     text = io.StringIO()
-    text.writelines(_head(about))
+    text.writelines(f"# {key}: {value}\n" for key, value in about.items())
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table)
     writer.writerows(zip(*table.values(), strict=True))
     return text.getvalue().encode()
-
-
-def _head(about: Mapping[str, str]) -> list[str]:
-    return [f"# {key}: {value}\n" for key, value in about.items()]
 
 
 def _write(path: Path, data: bytes) -> Path:

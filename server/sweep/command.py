@@ -13,7 +13,7 @@ from hebbviz import files
 from server.experiments import Interrupted, finish, open_workers
 from server.figures.command import prepare_folder, progress_bar
 from server.figures.curves import setting
-from server.figures.sheet import Origin, save
+from server.figures.sheet import Origin, check_replaces, save
 from server.sweep.grid import Sweep, learners_file
 from server.sweep.heat_map import sheet
 from server.sweep.outcome import outcome
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from server.experiments import Done
     from server.sweep.outcome import Outcome
 
+NAME = "sweep"
+"""Of the files."""
 KEPT = "runs"
 """What was run stays in a folder of this name: a finer map goes on from it."""
 
@@ -39,6 +41,7 @@ def make(
     """
     about = setting(sweep.untrained)  # finds out whether it can be run at all
     prepare_folder(out)
+    check_replaces(out, NAME, sweep.command_begins)
     began = time.perf_counter()
     try:
         done = _run(sweep, out / KEPT, stop, scheduler)
@@ -48,7 +51,7 @@ def make(
     *points, untrained = (outcome(d, task) for d in done)
     more = [_openings(sweep, d, p, out) for d, p in zip(done[:-1], points, strict=True)]
     drawn = sheet(sweep, task, points, untrained, more)
-    paths = save(drawn, out, "sweep", Origin(sweep.command, sweep.seed))
+    paths = save(drawn, out, NAME, Origin(sweep.command, sweep.seed))
     return {
         "files": [str(path) for path in paths], "command": sweep.command,
         "version": hebbviz.__version__, "seed": sweep.seed,

@@ -141,11 +141,15 @@ class Sweep:
     @property
     def command(self) -> str:
         """The command that makes the map again."""
-        return shlex.join(
-            ["hebbviz", "sweep", *self._network(), "--beta", _listed(self.betas), "--gamma",
-             _listed(self.gammas), "--lanes", str(self.lanes), "--steps", str(self.steps),
-             "--seed", str(self.seed), "--out", "FOLDER"]
+        return self.command_begins + shlex.join(
+            [_listed(self.betas), "--gamma", _listed(self.gammas), "--lanes", str(self.lanes),
+             "--steps", str(self.steps), "--seed", str(self.seed), "--out", "FOLDER"]
         )  # fmt: skip
+
+    @property
+    def command_begins(self) -> str:
+        """What all maps of this network share: one with other values takes the place of another."""
+        return shlex.join(["hebbviz", "sweep", *self._network(), "--beta"]) + " "
 
     def page(self, beta: float, gamma: float) -> str:
         """The command that opens the page with the run of a point, its first lane, at its start."""
