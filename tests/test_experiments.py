@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -273,16 +274,17 @@ def test_a_task_that_is_edited_in_mid_run_is_refused(tmp_path, short_shares):
     own.write_text(text := Path(LEVER.rpartition(":")[0]).read_text())
     plan = replace(PULLS, task=f"{own}:Lever", segments=50)
 
-    def edit(fraction):
-        if 0.0 < fraction < 1.0:
+    def edit(least, fraction):
+        if least < fraction:
             edited.write_text(text.replace("return state[1]", "return 1.0 - state[1]"))
             edited.replace(own)
 
     with open_workers() as cores:
         whole = run(plan, cores)
-        with pytest.raises(ChangedTask, match=r"own.py:Lever: the file is not what the run began"):
-            run(plan, cores, folder=tmp_path / "kept", progress=edit)
-        own.write_text(text)
+        for least in (0.0, 0.999):  # in its midst, and once it is done but not yet told of
+            with pytest.raises(ChangedTask, match=r"own.py:Lever: the file is not what the run"):
+                run(plan, cores, folder=tmp_path / "kept", progress=partial(edit, least))
+            own.write_text(text)
         assert same(run(plan, cores, folder=tmp_path / "kept", progress=(left := []).append), whole)
     assert left[0] > 0.0
 

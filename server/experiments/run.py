@@ -15,7 +15,7 @@ from pathlib import Path
 
 from hebbviz.learner import Learner
 from server.experiments.plan import Curves, Plan, joined
-from server.experiments.share import Tile
+from server.experiments.share import Tile, check_unchanged
 from server.experiments.store import Store
 from server.experiments.workers import Workers
 
@@ -135,6 +135,8 @@ class _Driver:
             for share in wait(self._running, _LOOK_SECONDS, FIRST_COMPLETED).done:
                 self._take(self._running.pop(share), self._workers.result(share))
                 progress(self._fraction())
+        for plan, digest in zip(self._plans, self._digests, strict=True):
+            check_unchanged(plan, digest)  # for what is told of the curves
 
     def _cancel(self) -> None:
         for share in self._running:

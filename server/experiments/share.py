@@ -95,10 +95,10 @@ def bring_on(plan: Plan, tile: Tile, seconds: float, version: str, digest: str) 
             f"a worker runs hebbviz {hebbviz.__version__}, this is {version}: install the same "
             "version for all workers"
         )
-    _check_unchanged(plan, digest)
+    check_unchanged(plan, digest)
     try:
         share = _Share(plan, tile)
-        _check_unchanged(plan, digest)  # nor was it edited since: this text is the one that was run
+        check_unchanged(plan, digest)  # nor was it edited since: this text is the one that was run
         share.run(time.monotonic() + seconds)
     except Exception as error:
         where = place_in(Path(plan.task.rpartition(":")[0]), error)
@@ -108,7 +108,8 @@ def bring_on(plan: Plan, tile: Tile, seconds: float, version: str, digest: str) 
     return share.tile()
 
 
-def _check_unchanged(plan: Plan, digest: str) -> None:
+def check_unchanged(plan: Plan, digest: str) -> None:
+    """Raise ChangedTask if the file of the plan's task is another than when this was its digest."""
     if plan.digest() != digest:
         raise ChangedTask(
             f"task {plan.task}: the file is not what the run began with, here or on a worker: put "

@@ -42,12 +42,12 @@ def make(
     about = setting(sweep.untrained)  # finds out whether it can be run at all
     prepare_folder(out)
     check_replaces(out, NAME, sweep.command_begins)
+    task = sweep.untrained.make_task()
     began = time.perf_counter()
     try:
         done = _run(sweep, out / KEPT, stop, scheduler)
     except Interrupted:
         return None
-    task = sweep.untrained.make_task()
     *points, untrained = (outcome(d, task) for d in done)
     more = [_openings(sweep, d, p, out) for d, p in zip(done[:-1], points, strict=True)]
     drawn = sheet(sweep, task, points, untrained, more)
