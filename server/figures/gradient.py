@@ -4,8 +4,8 @@
 
 of a real learner in the lamps, 2-3-1. It goes to E[r z], which lies at an angle of its own from
 ∇η, the bias of β: a short trace forgets what came late. A long one takes longer to come there:
-it gathers the noise of all rewards in between. What is drawn beside it is exact, from
-`hebbviz.exact`: the bias, and the expected angle after t steps.
+it gathers the noise of all rewards in between. What is drawn beside it is computed, by
+`hebbviz.exact`: the bias, and the expected angle after t steps, of t long against 1/(1 − β).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ STILL = 1e-9
 
 _TOGETHER = (
     "Together, n estimates x are at the angle to the gradient g whose cosine is "
-    "Σ x·g / (|g| √(n Σ |x|²)): what is expected of that is known exactly."
+    "Σ x·g / (|g| √(n Σ |x|²)). What is expected of that is exact for t far above 1/(1 − β)."
 )
 
 _POINTS = 100
@@ -193,7 +193,7 @@ def _draw(courses: list[_Course], lanes: int) -> Figure:
     axes.text(
         0.012, 0.03,
         f"line: {lanes} independent estimates together; band: mean ± standard deviation of them\n"
-        "dashed: the line as it is expected at t steps, dotted: the bias of each β, both exact",
+        "dashed: the line as it is expected at t steps, dotted: the bias of each β, both computed",
         transform=axes.transAxes, fontsize=SMALL, va="bottom", linespacing=1.4,
     )  # fmt: skip
     return figure
