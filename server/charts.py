@@ -22,7 +22,7 @@ Span = tuple[float, float]
 HEIGHT = 132
 WIDTH = 1.5
 """Of a line, in pixels."""
-SHRINK = 0.2
+SHRINK = 0.4
 SHRINK_DRAWINGS = 40
 """A vertical axis is made smaller when the curves did with this share of it so many times."""
 ROOM = 0.25

@@ -183,10 +183,12 @@ class Panels:
         self._raster_image.image = raster(
             picture.recent, self._topology, self._theme, [c.step for c in picture.changes]
         )
-        last = picture.recent.end if picture.recent else 0
+        recent = picture.recent
+        upto = "No step is played yet." if recent is None else (
+            f"Every step up to {words.count(recent.end)}, newest at the right."
+        )  # fmt: skip
         self._raster_words.content = (
-            f"Every step up to {words.count(last)}, newest at the right. "
-            "Top row: reward yellow, punishment red, a change grey."
+            f"{upto} Top row: reward yellow, punishment red, a change grey."
         )
 
     def _draw_synapse(self, picture: Picture) -> None:

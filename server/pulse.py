@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.moments import Frame
+from hebbviz.rules.paper import PAPER
 from server import palette
 from server.look import THICKEST
 from server.network_scene import NetworkScene
@@ -37,7 +38,8 @@ class Pulse:
         self._pulse_age = PULSE_PICTURES
         self._color: Rgb = palette.REWARD
         self._change = np.zeros(synapses)
-        self._reward = 0.0
+        self._told = ""
+        self._unsaid: tuple[str, str] | None = None
         self._alone = True
         self._said_at = 0.0
         self._hidden = True
@@ -51,7 +53,8 @@ class Pulse:
         if arrives:
             self._arrive(frame)
         if frame.since.steps:
-            self._say(frame, scene, world, at_once=arrives and self._pulse_age == 0)
+            self._unsaid = self._words(frame), world
+        self._say(scene, at_once=still or (arrives and self._pulse_age == 0))
         self._pulse_age += 1
         if not still or self._since_reward < AFTERGLOW_PICTURES // 3:
             self._since_reward += 1
@@ -65,15 +68,16 @@ class Pulse:
         positive = frame.since.tally.broadcast > 0
         self._color = palette.REWARD if positive else palette.PUNISHMENT
         self._since_reward = 0
-        self._reward = frame.since.tally.broadcast
+        self._told = arrival(frame)
         self._change = frame.since.weight_change.copy()
 
-    def _say(self, frame: Frame, scene: NetworkScene, world: str, *, at_once: bool) -> None:
-        """Words that follow one another too fast to be read are left out."""
+    def _say(self, scene: NetworkScene, *, at_once: bool) -> None:
+        """Words that follow one another too fast to be read are left out, but for the last ones."""
         now = time.monotonic()
-        if at_once or now - self._said_at > WORDS_SECONDS:
+        if self._unsaid is not None and (at_once or now - self._said_at > WORDS_SECONDS):
             self._said_at = now
-            scene.say(self._words(frame), world)
+            scene.say(*self._unsaid)
+            self._unsaid = None
 
     def _draw(self, scene: NetworkScene) -> None:
         if self._since_reward > AFTERGLOW_PICTURES:
@@ -96,8 +100,17 @@ class Pulse:
         """What the label over the network says; empty while nothing is to be told."""
         since = frame.since
         if since.steps > FEW_STEPS:
-            return f"r: {since.tally.broadcast / since.steps:+.3f} per step"
-        if self._since_reward > AFTERGLOW_PICTURES:
-            return ""
-        largest = float(np.abs(self._change).max(initial=0.0))
-        return f"r = {self._reward:+g}: Δw = γ r z, at most {largest:.1e}"
+            return f"r: {since.tally.reward / since.steps:+.3f} per step"
+        return "" if self._since_reward > AFTERGLOW_PICTURES else self._told
+
+
+def arrival(frame: Frame) -> str:
+    """What came in a picture of few steps, and what it made: r, and m where the rule makes another
+    number of it; of several steps the sums.
+    """
+    tally, sums = frame.since.tally, "Σ " * (frame.since.steps > 1)
+    largest = float(np.abs(frame.since.weight_change).max(initial=0.0))
+    if frame.rule == PAPER:  # what was given by hand is reward like any other
+        return f"{sums}r = {tally.broadcast:+.3g}: Δw = {sums}γ r z, at most {largest:.1e}"
+    came = f"{sums}r = {tally.reward:+.3g}, {sums}m = {tally.broadcast:+.3g}"
+    return f"{came}: Δw = {sums}γ m z, at most {largest:.1e}"

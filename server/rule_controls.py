@@ -92,5 +92,10 @@ def _typed_fall(text: str) -> SetFall:
 def _words(frame: Frame) -> str:
     """What the rule does, and what it keeps now."""
     kept = zip(frame.rule.memory, frame.memory.tolist(), strict=True)
-    now = "".join(f", {reading.name} **{value:.4g}**" for reading, value in kept)
+    now = "".join(f", {reading.name} **{_shown(value):.4g}**" for reading, value in kept)
     return f"{frame.rule.summary}{now}"
+
+
+def _shown(value: float) -> float:
+    """What is left of a sum by rounding, or of a mean of nothing after a while, is 0."""
+    return round(value, 12) + 0.0

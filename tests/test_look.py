@@ -11,6 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hebbviz.learner import Learner
+from hebbviz.rules import make_rule
+from hebbviz.rules.paper import PAPER
 from hebbviz.topology import SYMMETRIC, Group, Projection, Topology, feedforward
 from server import palette, words
 from server.images import RASTER_STEPS, WIDTH, heat_map, raster
@@ -25,6 +27,7 @@ from server.look import (
     place,
     unit_names,
 )
+from server.pulse import Pulse, arrival
 from sims.loading import make_task
 
 SIZES = st.floats(1e-12, 1e12)
@@ -184,3 +187,52 @@ def test_every_unit_has_a_name_of_its_own() -> None:
     topology = feedforward(3, (2, 2), 1)
     names = unit_names(topology, ("p", "q", "r"))
     assert len(set(names)) == topology.units
+
+
+# Rewards in words
+
+
+class Heard:
+    """What a pulse says and draws on a scene."""
+
+    def __init__(self) -> None:
+        self.said: list[tuple[str, str]] = []
+
+    def say(self, reward: str, world: str) -> None:
+        self.said.append((reward, world))
+
+    def draw_change(self, *_: object) -> None: ...
+
+    def draw_pulse(self, *_: object) -> None: ...
+
+
+def test_what_is_said_last_is_of_what_is_seen() -> None:
+    learner, scene = Learner(make_task("sonar"), seed=1), Heard()
+    pulse = Pulse(learner.topology.synapses)
+    for k in range(5):  # faster than words can be read
+        learner.advance(1)
+        pulse.follow(learner.frame(), scene, f"step {k}", still=False)  # type: ignore[arg-type]
+    assert len(scene.said) < 5
+    still = learner.frame()
+    assert still.since.steps == 0
+    pulse.follow(still, scene, "nothing new", still=True)  # type: ignore[arg-type]
+    assert scene.said[-1][1] == "step 4"
+    count = len(scene.said)
+    pulse.follow(still, scene, "nothing new", still=True)  # type: ignore[arg-type]
+    assert len(scene.said) == count, "once"
+
+
+def test_a_reward_is_told_as_it_came_and_as_it_was_sent() -> None:
+    learner = Learner(make_task("sonar"), seed=1, rule=make_rule("baseline:time=10"))
+    learner.skip(1000)
+    learner.advance(1)
+    frame = learner.frame()
+    raw, sent = frame.reward
+    assert raw in (0.0, 1.0)
+    assert arrival(frame).startswith(f"r = {raw:+.3g}, m = {sent:+.3g}: Δw = γ m z, at most ")
+    learner.set_rule(PAPER)
+    learner.advance(20)
+    frame = learner.frame()
+    right = int(frame.since.tally.reward)
+    assert 1 < right <= 20
+    assert arrival(frame).startswith(f"Σ r = {right:+}: Δw = Σ γ r z, at most ")

@@ -33,6 +33,8 @@ BACK_PROPAGATION = {"training_error": 0.003, "test_error": 0.165}
 """Gorman and Sejnowski, 6 hidden units, fractions of patterns."""
 
 _EVALUATIONS = 50
+_WORDS = 6.0
+"""The height of what is said at the end of a curve, in % of error."""
 _SHOWN = {
     "test_error": ("test", color(palette.SERIES[4])),
     "training_error": ("training", color(palette.BRAND)),
@@ -90,6 +92,14 @@ def _numbers(plan: Plan, curves: Curves, task: Sonar) -> dict[str, Any]:
     return numbers
 
 
+def _stand(ends: dict[str, float]) -> dict[str, str]:
+    """How what is said stands at the ends of two curves, so that neither covers the other."""
+    lower, upper = sorted(ends, key=lambda name: ends[name])
+    if ends[upper] - ends[lower] > _WORDS:
+        return dict.fromkeys(ends, "center")
+    return {upper: "bottom", lower: "top"}
+
+
 def _table(curves: Curves, task: Sonar) -> Table:
     columns: dict[str, Any] = {"epoch": [int(s) // task.epoch for s in curves.evaluated_at]}
     for name in _SHOWN:
@@ -108,13 +118,15 @@ def _draw(plan: Plan, curves: Curves, task: Sonar) -> Figure:
     references = ", ".join(
         f"{words} {100.0 * BACK_PROPAGATION[name]:g}" for name, (words, _) in _SHOWN.items()
     )
+    stands = _stand({name: 100.0 * float(curves.figures[name][:, -1].mean()) for name in _SHOWN})
     for name, (words, shade) in _SHOWN.items():
         percent = 100.0 * curves.figures[name]
         mean, sd = percent.mean(axis=0), percent.std(axis=0)
         axes.fill_between(epochs, np.maximum(mean - sd, 0.0), mean + sd, color=shade, alpha=0.18,
                           lw=0)  # fmt: skip
         axes.plot(epochs, mean, color=shade)
-        mark_end(axes, epochs[-1], mean[-1], f"{words}\n{mean[-1]:.1f} ± {sd[-1]:.1f} %", shade)
+        said = f"{words}\n{mean[-1]:.1f} ± {sd[-1]:.1f} %"
+        mark_end(axes, epochs[-1], mean[-1], said, shade, stands=stands[name])
         axes.axhline(100.0 * BACK_PROPAGATION[name], color=shade, lw=1.0, ls=(0, (1, 1.6)))
     axes.set(
         xlim=(0, epochs[-1]), ylim=(0, 55), ylabel="error of a frozen copy, %",
