@@ -131,9 +131,9 @@ class Chart:
         if cursor is not None:
             columns.append(_dots_on(x, line, np.array([0.0, 1.0])))
         data = (x, *columns, _dots_on(x, seen, np.full(len(seen), MARK_HEIGHT)))
-        if fits and not _same(self._plot.data, data):  # each assignment is a message to every tab
+        if fits:  # also the same again: a chart that has just been made may need it for its axes
             self._plot.data = data
-        elif not fits:
+        else:
             self._more, self._has_cursor = dict(more), cursor is not None
             self._replace(data)
 
@@ -261,13 +261,6 @@ def _line_on(x: Array, own: Array, y: Array) -> Array:
     if len(own) == 0:
         return np.full(len(x), np.nan)
     return np.where((x < own[0]) | (x > own[-1]), np.nan, np.interp(x, own, y))
-
-
-def _same(shown: Sequence[Array], data: Sequence[Array]) -> bool:
-    """Whether a chart shows these columns already."""
-    return len(shown) == len(data) and all(
-        np.array_equal(a, b, equal_nan=True) for a, b in zip(shown, data, strict=True)
-    )
 
 
 def _edges_on(x: Array, low: Points, high: Points) -> tuple[Array, Array]:
