@@ -118,7 +118,7 @@ def shoot(page: Page, path: Path) -> None:
 
 def with_few_colors(path: Path) -> None:
     """Write a picture again with a palette: one of many fine lines is half as large then."""
-    Image.open(path).convert("RGB").quantize(128).save(path, optimize=True)
+    Image.open(path).convert("RGB").quantize(256).save(path, optimize=True)
 
 
 def make_page_picture() -> None:
