@@ -287,7 +287,7 @@ class Worker(threading.Thread):
 
     def _is_prepared(self, command: Command) -> bool:
         """Whether a command can be carried out at once; if not, it is as soon as it can be."""
-        if not isinstance(command, Demanding) or self._has_rule(command):
+        if not isinstance(command, Demanding) or self._asks_nothing_new(command):
             return True
         preparation = Preparation(command, self._run.foreseen)
         preparation.start()
@@ -296,10 +296,11 @@ class Worker(threading.Thread):
         self._preparing = preparation
         return False
 
-    def _has_rule(self, command: Demanding) -> bool:
-        """Whether no more than parameters of the rule are to be set."""
-        named = command.rule.partition(":")[0] if isinstance(command, SetRule) else None
-        return named == self._run.learner.rule.name
+    def _asks_nothing_new(self, command: Demanding) -> bool:
+        """Whether it goes with what is compiled: other parameters of the rule, the run anew."""
+        if isinstance(command, SetRule):
+            return command.rule.partition(":")[0] == self._run.learner.rule.name
+        return isinstance(command, Reset) and command.lanes is None and command.switch is None
 
     def _take_up_what_waits(self) -> None:
         """Carry out what is prepared by now, and what was asked for after it."""
