@@ -18,7 +18,7 @@ from hebbviz.moments import Frame
 from server.commands import Change, Logged, SetBeta, SetGamma
 from server.history import Curve, Totals
 from server.run import Run
-from server.tape import Moment
+from server.tape import Moment, Tape
 
 BETA, GAMMA, NO_MEMORY, NO_REWARD, OTHER_REWARD = (
     "another β", "another γ", "β = 0", "no reward", "reward of another run",
@@ -65,9 +65,11 @@ class Fork:
         self.history = run.history.copy()
         self.log = list(run.log)
         self._donor = _donor(run) if difference.kind == OTHER_REWARD else None
-        self.tape = run.tape.until(self.start)
-        self.keep()
+        self.tape: Tape | None = None
+        """Where its rewards are what differs the log does not tell all, and there is no tape."""
         if difference.change is not None:
+            self.tape = run.tape.until(self.start)
+            self.keep()
             self._make(difference.change)
 
     def follow(self, step: int) -> None:
@@ -87,12 +89,8 @@ class Fork:
 
     def keep(self) -> None:
         """Put this moment on the tape."""
-        self.tape.add(Moment(self.learner.keyframe(), len(self.log)))
-
-    @property
-    def can_be_made_again(self) -> bool:
-        """Whether the log tells all: rewards that were left out or another's are not in it."""
-        return self.difference.change is not None
+        if self.tape is not None:
+            self.tape.add(Moment(self.learner.keyframe(), len(self.log)))
 
     def look_at(self, lane: int) -> None:
         """Show another lane."""

@@ -42,8 +42,7 @@ class RuleControls:
         """Show what holds; in the past, what held at the step that is shown."""
         frame = picture.live if picture.past is None else picture.shown
         rule = frame.rule
-        rules, lanes = {n: rule_class(n) for n in rule_names()}, picture.lanes
-        fits = tuple(n for n, r in rules.items() if r.least_lanes <= lanes <= r.most_lanes())
+        fits = tuple(n for n in rule_names() if rule_class(n).fits(picture.lanes))
         assign(self.rule, "options", fits)
         self._ui.put(self.rule, rule.name)
         if type(rule) is not type(self._rule):

@@ -148,9 +148,8 @@ class Run:
         """The same task and network from step 0, with the β, γ and rule that are set, and the
         task's switches, of which the command may set one.
         """
-        task = self.learner.task
-        if command.switch is not None:
-            task = self.make_task(self.task_name, task.switched(*command.switch))
+        switch = command.switch
+        task = self.learner.task if switch is None else self._made_again(switch)
         fresh = self._restarted(command, task)
         _look_at_the_same(fresh, self.learner)
         self._remember(str(command))
@@ -171,18 +170,15 @@ class Run:
         """A learner, at its start, such as the run has after a command that is yet to be obeyed;
         with a task of its own, so that another thread may step it.
         """
-        if isinstance(command, Choose):
-            return self._chosen(command)
-        task = self.learner.task
-        switch = command.switch if isinstance(command, Reset) else None
-        task = self.make_task(
-            self.task_name, task.preset_name if switch is None else task.switched(*switch)
-        )
-        if isinstance(command, Reset):
-            return self._restarted(command, task)
-        twin = self.learner.twin(task)
-        command.apply(twin)
-        return twin
+        match command:
+            case Choose():
+                return self._chosen(command)
+            case Reset():
+                return self._restarted(command, self._made_again(command.switch))
+            case SetRule():
+                twin = self.learner.twin(self._made_again())
+                command.apply(twin)
+                return twin
 
     def undo(self) -> str | None:
         """Go back to the moment before the last change; says which, or None if there is none."""
@@ -271,6 +267,12 @@ class Run:
         least = make_rule(task.preset.rule).least_lanes
         lanes = max(least, self.learner.lanes if command.task == self.task_name else 1)
         return Learner(task, hidden=command.hidden, seed=self.learner.seed, lanes=lanes)
+
+    def _made_again(self, switch: tuple[str, bool] | None = None) -> Task:
+        """Another object of the task, with one of its switches set if that is asked for."""
+        task = self.learner.task
+        setting = task.preset_name if switch is None else task.switched(*switch)
+        return self.make_task(self.task_name, setting)
 
     def _restarted(self, command: Reset, task: Task) -> Learner:
         """What a reset begins with."""

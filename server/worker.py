@@ -472,9 +472,8 @@ class Worker(threading.Thread):
     def _take_over(self) -> None:
         """The run goes on from what is shown of its past."""
         assert self._player is not None
-        player, self._player = self._player, None
-        step = player.cursor
-        self._run.take_over(player.replay)
+        step = self._player.cursor
+        self._run.take_over(self._player.replay)
         self._renew(keep_evaluations_to=step)
         self._paused = False
 
@@ -491,8 +490,7 @@ class Worker(threading.Thread):
         fork, self._fork = self._fork, None
         if keep_other:
             self._run.become(
-                fork.learner, history=fork.history, log=fork.log,
-                tape=fork.tape if fork.can_be_made_again else None,
+                fork.learner, history=fork.history, log=fork.log, tape=fork.tape,
                 words=f"keeping the copy with {fork.difference}",
             )  # fmt: skip
             self._renew()
@@ -603,14 +601,12 @@ class Worker(threading.Thread):
             self._fresh.notify_all()
 
     def _what_is_shown(self, live: Frame, seconds: float) -> tuple[Frame, Trail]:
-        """The excerpt's frame while one plays and the run is too fast to be seen, else `live`."""
-        if self._player is not None:
-            self._watch.rest()
-            return self._player.play(seconds, self._rate()), self._player.trail
-        if self._fork is not None:
-            self._watch.rest()
-            return live, self._live_trail
-        if self._watch.in_slow_motion or (self._is_too_fast() and not self._paused):
+        """The past; or the excerpt's frame while one plays and the run is too fast to be seen;
+        else `live`.
+        """
+        is_alone = self._player is None and self._fork is None
+        plays = self._watch.in_slow_motion or (self._is_too_fast() and not self._paused)
+        if is_alone and plays:
             played = self._watch.play(self._run, seconds, go_on=not self._paused)
             if played is not None:
                 replay, block = played
@@ -620,6 +616,8 @@ class Worker(threading.Thread):
                     self._excerpt_trail.note(block)
                 return shown, self._excerpt_trail
         self._watch.rest()
+        if self._player is not None:
+            return self._player.play(seconds, self._rate()), self._player.trail
         return live, self._live_trail
 
     def _past(self) -> Past | None:

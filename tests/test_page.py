@@ -7,12 +7,12 @@ import threading
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pytest
+from examples.lever import Lever
 from raw_client import CAMERA, RawClient, wait_until
 
 from hebbviz.learner import Learner
-from hebbviz.task import Input, Output, Pose, Preset, Task
+from hebbviz.task import Pose, Task
 from server import camera
 from server.app import Site
 from sims.loading import make_task
@@ -21,25 +21,8 @@ if TYPE_CHECKING:
     from server.picture import Picture
 
 
-class OutOfSight(Task):
+class OutOfSight(Lever):
     """A world whose scene fails."""
-
-    name = "out of sight"
-    inputs = (Input("one"),)
-    outputs = (Output("a", "fires", "is silent"),)
-    presets = {"only": Preset(0.5, 0.1, "a test")}
-
-    def restart(self, draws: Any) -> Any:
-        return np.zeros(1)
-
-    def transition(self, state: Any, action: Any, draws: Any) -> Any:
-        return state
-
-    def observation(self, state: Any) -> Any:
-        return np.ones(1)
-
-    def reward(self, state: Any) -> float:
-        return 0.0
 
     def pose(self, state: Any) -> Pose:
         raise IndexError("no scene")

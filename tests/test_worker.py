@@ -49,6 +49,7 @@ from sims.loading import make_task
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from server.run import MakeTask
     from server.tape import Moment
 
 
@@ -454,14 +455,19 @@ def test_choose_and_reset_make_another_run() -> None:
         assert later.run_number > picture.run_number
 
 
-def test_a_choice_that_takes_long_holds_up_nothing_but_the_run() -> None:
-    gate = threading.Event()
+def made_late(gate: threading.Event, late: str) -> MakeTask:
+    """Makes tasks, the one of this preset once the gate is open."""
 
     def make_in_time(name: str, preset: str | None = None) -> Task:
-        assert name != "synapse" or gate.wait(20.0)
+        assert preset != late or gate.wait(20.0)
         return make(name, preset)
 
-    with bench(Run(Learner(make("pendulum")), make_in_time)) as b:
+    return make_in_time
+
+
+def test_a_choice_that_takes_long_holds_up_nothing_but_the_run() -> None:
+    gate = threading.Event()
+    with bench(Run(Learner(make("pendulum")), made_late(gate, "script"))) as b:
         b.until(lambda p: p.live.step > 0)
         b.send(Choose("synapse", "script"), SetBeta(0.25), Pause(paused=True))
         picture = b.until(lambda p: p.preparing is not None and p.paused)
@@ -477,12 +483,7 @@ def test_a_choice_that_takes_long_holds_up_nothing_but_the_run() -> None:
 
 def test_so_does_a_switch() -> None:
     gate = threading.Event()
-
-    def make_in_time(name: str, preset: str | None = None) -> Task:
-        assert preset != "quick:centred=yes" or gate.wait(20.0)
-        return make(name, preset)
-
-    with bench(Run(Learner(make("sonar")), make_in_time)) as b:
+    with bench(Run(Learner(make("sonar")), made_late(gate, "quick:centred=yes"))) as b:
         b.send(Reset(switch=("centred", True)), SetBeta(0.25))
         picture = b.until(lambda p: p.preparing is not None)
         assert "for centred on" in (picture.preparing or "")

@@ -83,17 +83,23 @@ class Rule:
         return WIDTHS[-1] if cls.lanes_touch else MOST_LANES
 
     @classmethod
+    def fits(cls, lanes: int) -> bool:
+        """Whether the rule can work in so many lanes."""
+        return cls.least_lanes <= lanes <= cls.most_lanes()
+
+    @classmethod
     def check_lanes(cls, lanes: int) -> None:
-        """Raise ValueError unless the rule can work in so many lanes."""
+        """Raise ValueError unless it `fits`."""
+        if cls.fits(lanes):
+            return
         if lanes < cls.least_lanes:
             raise ValueError(
                 f"rule {cls.name} needs {cls.least_lanes} lanes or more, this learner has {lanes}"
             )
-        if lanes > cls.most_lanes():
-            raise ValueError(
-                f"rule {cls.name} lets lanes touch each other, so all must be stepped together: "
-                f"take at most {cls.most_lanes()} lanes, this learner has {lanes}"
-            )
+        raise ValueError(
+            f"rule {cls.name} lets lanes touch each other, so all must be stepped together: take "
+            f"at most {cls.most_lanes()} lanes, this learner has {lanes}"
+        )
 
     @property
     def constants(self) -> Array:

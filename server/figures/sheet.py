@@ -157,14 +157,13 @@ def check_replaces(folder: Path, name: str, command: str) -> None:
 
 
 def mark_end(
-    axes: Axes, x: float, y: float, text: str, shade: Color, *, size: float = SMALL,
-    stands: str = "center",
-) -> None:  # fmt: skip
+    axes: Axes, x: float, y: float, text: str, shade: Color, *, stands: str = "center"
+) -> None:
     """Words beside the end of a curve, in place of a legend; they stand at it, or with 'bottom'
     above and with 'top' below it.
     """
     axes.annotate(
-        text, (x, y), (5, 0), textcoords="offset points", va=stands, color=shade, fontsize=size,
+        text, (x, y), (5, 0), textcoords="offset points", va=stands, color=shade, fontsize=SMALL,
         annotation_clip=False,
     )  # fmt: skip
 
