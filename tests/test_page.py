@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import pytest
+import viser
 from examples.lever import Lever
 from raw_client import CAMERA, RawClient, wait_until
 
@@ -54,13 +55,17 @@ def goes_on(site: Site, client: RawClient) -> None:
     client.wait(lambda: latest(site).live.step > step and client.frames > frames + 20)
 
 
+def _size(window: viser.CameraHandle) -> tuple[int, int]:
+    return window.image_width, window.image_height
+
+
 @pytest.mark.parametrize("size", [(0, 0), (0, 600), (800, 0)], ids=str)
 def test_a_window_without_a_size_is_nothing_to_fail_by(size: tuple[int, int]) -> None:
     width, height = size
     with running(make_task("pendulum")) as site, RawClient(site._server.get_port()) as client:
         client.send(CAMERA | {"image_width": width, "image_height": height})
         tabs = site._server.get_clients
-        client.wait(lambda: [c.camera.image_width for c in tabs().values()] == [width])
+        client.wait(lambda: [_size(tab.camera) for tab in tabs().values()] == [size])
         assert camera.aspect_of(*tabs().values()) == camera.WHOLE_ASPECT
         goes_on(site, client)
 
