@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+IS_LOWER_BOUND = "is_lower_bound"
+"""The figure that says whether the measure is a lower bound, beside it."""
+
 
 @dataclass(frozen=True)
 class Input:
@@ -303,12 +306,16 @@ class Task:
         return Score(tally.average_reward)
 
     def evaluate(self, learner: Learner) -> dict[str, Array]:
-        """How a frozen copy does in each lane, (lanes,), in a run of its own.
+        """How a frozen copy does in each lane, (lanes,), in a run of its own: the measure, and 1
+        where it is a lower bound.
 
         The learner is left as it is.
         """
-        tallies = learner.frozen_copy().skip_tallied(100_000)
-        return {self.measure.key: np.array([self.score(t).value for t in tallies])}
+        scores = [self.score(t) for t in learner.frozen_copy().skip_tallied(100_000)]
+        return {
+            self.measure.key: np.array([s.value for s in scores]),
+            IS_LOWER_BOUND: np.array([float(s.is_bound) for s in scores]),
+        }
 
     def results(self, learner: Learner, late: Tally) -> dict[str, float]:
         """The figures `hebbviz train` reports; `late` covers the last fifth of its steps."""

@@ -9,13 +9,14 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from hebbviz.task import Measure, Score, Task
+from hebbviz.task import IS_LOWER_BOUND, Measure, Score, Task
 from server import palette, spread, words
 from server.charts import QUIET_EDGES, Chart, Cursor, Points
+from server.evaluation import Evaluation
 from server.history import Curve
 from server.palette import Rgb, Theme
 from server.picture import Other, Picture
-from server.spread import Scores, Spread
+from server.spread import Bools, Scores, Spread, middle_is_bound, middle_of
 
 Array = NDArray[np.float64]
 Bands = dict[str, tuple[Points, Points]]
@@ -122,6 +123,15 @@ def others(picture: Picture) -> dict[str, Rgb]:
     return {} if picture.other is None else {f"other: {picture.other.words}": OTHER}
 
 
+def evaluated(picture: Picture) -> str:
+    """What the latest frozen copy did, in the watched lane, and in the middle of several."""
+    if not picture.evaluations:
+        return ""
+    latest = picture.evaluations[-1]
+    said = [_figure(picture, latest, key) for key in latest.figures if key != IS_LOWER_BOUND]
+    return f"Frozen copy at step {words.count(latest.step)}: {', '.join(said)}."
+
+
 # Inside
 
 FROZEN: tuple[Rgb, ...] = (palette.SERIES[2], palette.SERIES[4])
@@ -157,8 +167,10 @@ def _frozen(picture: Picture) -> dict[str, Spread]:
     x = np.array([e.step for e in done], dtype=np.float64)
     spreads = {}
     for key in task.frozen_figures:
-        values = np.array([e.figures[key] for e in done]).reshape(-1, picture.lanes)
-        spreads[_spaced(key)] = Spread.of(x, _in_unit(task, key, values), task.measure)
+        shape = len(done), picture.lanes
+        values = np.array([e.figures[key] for e in done]).reshape(shape)
+        bounds = np.array([_bounds(task, e, key) for e in done], dtype=bool).reshape(shape)
+        spreads[_spaced(key)] = Spread.of(x, _in_unit(task, key, values), bounds, task.measure)
     return spreads
 
 
@@ -168,35 +180,36 @@ def _said(picture: Picture, curve: Curve, all_lanes: Spread | None, *, at_least:
     now = "".join(f", now **{words.score(picture.task.score(t), measure)}**" for t in newest)
     if now and all_lanes is not None:
         name, band = spread.names(measure)
-        middle = words.score(Score(float(all_lanes.middle[-1])), measure)
-        now += f" in lane {picture.lane}; {name} **{middle}** (band: {band})"
+        middle = Score(float(all_lanes.middle[-1]), bool(all_lanes.is_bound[-1]))
+        now += f" in lane {picture.lane}; {name} **{words.score(middle, measure)}** (band: {band})"
     bound = " Dots: no fall in that window, so at least this." if at_least else ""
     both = "" if picture.other is None else words.compared(picture, picture.other)
     return (
         f"{both}\n\nEach point sums up {words.steps(curve.window)}{now}.{bound} "
-        f"{_changes(picture)} {_evaluated(picture)}"
+        f"{_changes(picture)} {evaluated(picture)}"
     )
 
 
-def _evaluated(picture: Picture) -> str:
-    """What the latest frozen copy did, in the watched lane, and in the middle of several."""
-    if not picture.evaluations:
-        return ""
-    latest = picture.evaluations[-1]
-    said = [_figure(picture, key, values) for key, values in latest.figures.items()]
-    return f"Frozen copy at step {words.count(latest.step)}: {', '.join(said)}."
-
-
-def _figure(picture: Picture, key: str, values: Array) -> str:
-    """One figure, (lanes,), in words: of the watched lane, and of the middle of several."""
+def _figure(picture: Picture, done: Evaluation, key: str) -> str:
+    """One figure of a frozen copy in words: of the watched lane, and of the middle of several."""
     measure = _measure_of(picture.task, key)
-    values = _in_unit(picture.task, key, values)
-    said = f"{measure.name} **{words.score(Score(float(values[picture.lane])), measure)}**"
+    values = _in_unit(picture.task, key, done.figures[key])
+    bounds = _bounds(picture.task, done, key)
+    one = Score(float(values[picture.lane]), bool(bounds[picture.lane]))
+    said = f"{measure.name} **{words.score(one, measure)}**"
     if picture.lanes == 1:
         return said
-    middle = np.median(values) if measure.logarithmic else np.mean(values)
-    name, _ = spread.names(measure)
-    return f"{said} ({name} {words.score(Score(float(middle)), measure)})"
+    middle = middle_of(measure)
+    many = Score(float(middle(values)), bool(middle_is_bound(middle, values, bounds)))
+    return f"{said} ({spread.names(measure)[0]} {words.score(many, measure)})"
+
+
+def _bounds(task: Task, done: Evaluation, key: str) -> Bools:
+    """Where a figure is a lower bound, (lanes,): the measure alone can be."""
+    values = done.figures[key]
+    if key != task.measure.key:
+        return np.zeros(len(values), dtype=bool)
+    return done.figures.get(IS_LOWER_BOUND, np.zeros(len(values))) > 0
 
 
 def _measure_of(task: Task, key: str) -> Measure:

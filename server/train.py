@@ -15,6 +15,7 @@ from tqdm import tqdm  # type: ignore[import-untyped]
 import hebbviz
 from hebbviz.learner import TaskError
 from hebbviz.rules.paper import PAPER
+from hebbviz.task import IS_LOWER_BOUND
 from server.making import maker
 from server.recording.recordings import Options, Recordings
 from server.recording.status import Status
@@ -217,7 +218,7 @@ def own_figures(learner: Learner, training: Training) -> Figures:
         raise TaskError(f"task {task.name!r} cannot tell its results: {what}") from error
     if training.late.steps == 0 and task.measure.key in own:
         own[task.measure.key] = None
-    return own | {"is_lower_bound": bool(is_bound)}
+    return own | {IS_LOWER_BOUND: bool(is_bound)}
 
 
 def figures_of(learner: Learner, training: Training, task_name: str) -> Figures:
@@ -261,9 +262,9 @@ def describe(figures: Figures, own: Figures) -> str:
             f"average reward: {figures['average_reward']:.6g} a step, "
             f"over the last {figures['late_steps']:,}"
         )
-    bound = " or more, no episode ended" if own["is_lower_bound"] else ""
+    bound = " or more, no episode ended" if own[IS_LOWER_BOUND] else ""
     for name, value in own.items():
-        if name not in figures and name != "is_lower_bound":
+        if name not in figures and name != IS_LOWER_BOUND:
             told = "not measured" if value is None else f"{value:.6g}{bound}"
             lines.append(f"{name.replace('_', ' ')}: {told}")
     return "\n".join(lines)

@@ -7,6 +7,7 @@ import pytest
 
 from hebbviz.finite_world import NOTHING
 from hebbviz.learner import Learner
+from hebbviz.task import IS_LOWER_BOUND
 from sims.filtering import BASELINE, COLUMNS, NOISE, SWITCH, Filtering, bayes_filter
 from sims.loading import make_task
 
@@ -145,7 +146,10 @@ def test_the_figures_stand_side_by_side():
     task = make_task("filtering")
     learner = Learner(task)
     learner.advance(1000)
-    for figures in (task.results(learner, learner.tally()), task.evaluate(learner)):
-        assert set(figures) == {"right", "baseline", "best"}
-        assert figures["baseline"] < figures["best"]
-    assert set(task.frozen_figures) < set(figures)
+    results, frozen = task.results(learner, learner.tally()), task.evaluate(learner)
+    assert set(results) == {"right", "baseline", "best"}
+    assert set(frozen) == {"right", "baseline", "best", IS_LOWER_BOUND}
+    assert results["baseline"] < results["best"]
+    assert frozen["baseline"] < frozen["best"]
+    assert not frozen[IS_LOWER_BOUND]
+    assert set(task.frozen_figures) < set(frozen)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conformance import same_learner
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from test_worker import bench
 
@@ -41,7 +41,7 @@ from server.recording.reader import open_recording
 from server.recording.recorder import Recorder
 from server.recording.targets import FileTarget
 from server.run import Run
-from server.spread import Scores, Spread
+from server.spread import Scores, Spread, middle_is_bound
 from server.watch import Watch
 from sims.loading import make_task
 
@@ -160,9 +160,22 @@ def test_of_one_lane_the_band_is_its_curve() -> None:
     values = np.array([[3.0], [5.0]])
     measure = make_task("sonar").measure
     for kind in (measure, replace(measure, logarithmic=True, span=(1.0, 10.0))):
-        spread = Spread.of(np.array([1.0, 2.0]), values, kind)
+        spread = Spread.of(np.array([1.0, 2.0]), values, values > 3.0, kind)
         for curve in (spread.low, spread.middle, spread.high):
             np.testing.assert_array_equal(curve, values[:, 0])
+        assert spread.is_bound.tolist() == [False, True]
+
+
+@given(st.lists(st.tuples(st.integers(0, 5), st.booleans(), st.integers(0, 3)), min_size=1))
+@example([(1, True, 0), (2, False, 0), (3, False, 0)])
+@example([(1, False, 0), (2, False, 0), (3, True, 0)])
+def test_a_middle_is_a_bound_if_the_truth_can_be_more(lanes: list[tuple[int, bool, int]]) -> None:
+    """A median of 1, 2, 3: it can if the one at 1 is a bound, and cannot if the one at 3 is."""
+    values, is_bound, more = (np.array(column) for column in zip(*lanes, strict=True))
+    for middle in (np.median, np.mean):
+        told = middle_is_bound(middle, values.astype(float), is_bound)
+        assert told == (middle(values + 1e6 * is_bound) > middle(values))
+        assert told or middle(values + more * is_bound) == middle(values)
 
 
 def test_scores_that_are_known_are_not_made_again_and_stay_true() -> None:

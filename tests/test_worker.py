@@ -40,11 +40,13 @@ from server.commands import (
 )
 from server.fork import NO_MEMORY
 from server.history import CAPACITY, History, Totals
+from server.learning import evaluated
 from server.picture import Picture
 from server.run import Run
 from server.watch import EXCERPT_SECONDS, LEAD, TAIL, Watch
 from server.worker import Worker
 from sims.loading import make_task
+from sims.pendulum import Pendulum
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -578,6 +580,20 @@ def test_an_evaluation_that_fails_is_a_notice() -> None:
         assert "KeyError" in b.notices[0]
         b.send(Evaluate())
         b.until(lambda _: len(b.notices) == 2)
+
+
+def test_a_frozen_copy_that_never_fell_is_said_to_last_at_least_as_long() -> None:
+    class Held(Pendulum):
+        def transition(self, state: Any, action: Any, draws: Any) -> Any:
+            return state
+
+    for task, at_least in (Held(), True), (Pendulum(), False):
+        run = Run(Learner(task, lanes=2), lambda *_, task=task: type(task)())
+        with bench(run, Pause(paused=True)) as b:
+            b.send(Evaluate())
+            words = evaluated(b.until(lambda p: p.evaluations, 60.0))
+        assert words.count("≥ 33.3 min") == (2 if at_least else 0), words
+        assert ("≥" in words) == at_least
 
 
 def test_undoing_a_switch_leaves_the_speed_that_was_chosen() -> None:

@@ -69,21 +69,15 @@ def course_columns(measure: Measure, course: Course) -> dict[str, list[Any]]:
 
 
 def draw_course(axes: Axes, course: Course, step: float, shade: Color) -> None:
-    """Each run faint, the median bold; a dot where most runs are at least there.
+    """Each run faint, the median bold; a dot where it is a lower bound.
 
     `step` is the time of a step on the horizontal axis.
     """
     times = course.steps * step
     axes.plot(times, course.values.T, color=shade, lw=0.7, alpha=0.35)
     axes.plot(times, course.median, color=shade, lw=2.2)
-    bound = is_mostly_bound(course)
+    bound = course.median_is_bound
     axes.plot(times[bound], course.median[bound], "o", color=shade, ms=3.5, mfc="white")
-
-
-def is_mostly_bound(course: Course) -> NDArray[np.bool_]:
-    """Where the truth is the value or more in half of the lanes, (n,)."""
-    mostly: NDArray[np.bool_] = course.is_bound.mean(axis=0) >= 0.5
-    return mostly
 
 
 def set_measure_axis(axes: Axes, measure: Measure) -> None:

@@ -19,7 +19,6 @@ from server.experiments import Curves, Plan
 from server.figures.curves import (
     course_columns,
     draw_course,
-    is_mostly_bound,
     outcome,
     preset_note,
     set_measure_axis,
@@ -186,7 +185,7 @@ def _draw(curves: Sequence[_Curve], baselines: dict[str, float]) -> Figure:
         axes.set_xlabel("simulated time, s")
     for axes in grid[:, 0]:
         set_measure_axis(axes, Pendulum.measure)
-    if any(is_mostly_bound(c.course).any() for c in curves):
+    if any(c.course.median_is_bound.any() for c in curves):
         grid[0, -1].set_title("○ at least this: most runs did not fall", loc="right", color=IDLE,
                               fontsize=TINY, fontweight="normal")  # fmt: skip
     last = max(c.plan.steps for c in curves) * PLANT.time_step

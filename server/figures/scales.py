@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hebbviz.task import Tally, Task
 from server.experiments import Curves, Plan
+from server.spread import middle_is_bound
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -58,6 +59,11 @@ class Course:
     def median(self) -> Array:
         """Over the lanes, (n,)."""
         return np.median(self.values, axis=0)
+
+    @property
+    def median_is_bound(self) -> NDArray[np.bool_]:
+        """Where the true median is this or more, (n,)."""
+        return middle_is_bound(np.median, self.values.T, self.is_bound.T)
 
 
 def course(task: Task, curves: Sequence[Curves], *, first: int, per_decade: int) -> Course:

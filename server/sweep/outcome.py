@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from hebbviz.task import Task
 from server.experiments import Curves, Done, Plan
+from server.spread import middle_is_bound
 
 Array = NDArray[np.float64]
 
@@ -35,8 +36,8 @@ class Outcome:
 
     @property
     def median_is_bound(self) -> bool:
-        """Whether the lanes around the median are known to be this or more only."""
-        return bool(self.is_bound[self.values >= self.values[self.middle]].any())
+        """Whether the true median is this or more."""
+        return bool(middle_is_bound(np.median, self.values, self.is_bound))
 
     def failing(self, untrained: Outcome) -> float:
         """The fraction of lanes that were rewarded no more than the luckiest untrained one."""
