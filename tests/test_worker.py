@@ -512,7 +512,7 @@ def test_so_does_a_rule(monkeypatch: pytest.MonkeyPatch) -> None:
         assert "for rule slow:time=500" in (picture.preparing or "")
         assert picture.live.rule == PAPER
         gate.set()
-        picture = b.until(lambda p: p.live.rule == Slow(500.0) and p.beta == 0.25)
+        picture = b.until(lambda p: p.live.rule == Slow(500.0) and p.beta == 0.25, 20.0)
         assert (picture.preparing, picture.undo_words) == (None, "β 0.25")
 
 
