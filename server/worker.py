@@ -66,20 +66,12 @@ from server.recording.recordings import Options, Recordings
 from server.run import Run
 from server.stuck import StuckLanes
 from server.tape import Pace
+from server.tempo import Tempo
 from server.trail import Trail
 from server.watch import Watch
 
 PICTURES_PER_SECOND = 32.0
 """A little over 30, so that 30 that differ reach the page."""
-STRETCH_SECONDS = 0.012
-"""Aim for one uninterrupted stretch of steps; a command waits at most about twice this."""
-LONGEST_STRETCH_SECONDS = 0.05
-"""A stretch is as long as that where the copy of its first moment, of many lanes, takes so long."""
-LONGEST_STRETCH = 200_000
-MOST_OWED_SECONDS = 0.25
-"""A run that cannot keep up with its speed does not save up more than this."""
-SLOW_STRETCHES = 5
-"""Stretches over which the speed is measured where a second has fewer."""
 NOTHING_TO_PLAY = (
     "the latest reward is played of a run that is shown live and alone: go back to now, or end the "
     "fork"
@@ -105,7 +97,7 @@ class Worker(threading.Thread):
         self._recordings = recordings or Recordings(run, Options(), on_notice=on_notice)
         self._player: Player | None = None
         self._fork: Fork | None = None
-        self._pace = Pace()
+        self._tempo, self._pace = Tempo(run.learner.task.dt), Pace()
         self._commands: queue.SimpleQueue[Command | None] = queue.SimpleQueue()
         self._preparing: Preparation | None = None
         self._waiting: list[Command] = []
@@ -117,13 +109,7 @@ class Worker(threading.Thread):
         self._stuck = StuckLanes()
         self._estimating = Estimating()
         run.followers.append(self._estimating)
-        self._paused = False
         self._probes: tuple[int, ...] = ()
-        self._speed: Speed = MAX
-        self._owed = 0.0
-        self._single_steps = 0
-        self._stretch = 16
-        self._steps_made: list[tuple[float, int]] = []
         self._excerpt_trail, self._live_trail = Trail(), Trail()
         self._last_change: tuple[type[object], float] = (object, 0.0)
         self._number = self._run_number = 0
@@ -182,7 +168,7 @@ class Worker(threading.Thread):
         """Whether nothing is to be stepped before the next picture."""
         if self._player is not None or self._preparing is not None:
             return True
-        return self._single_steps == 0 and (self._paused or self._steps_owed() < 1)
+        return not self._tempo.is_due()
 
     def _take_commands(self, wait: float) -> None:
         """Those that wait; a seek that another follows at once is not worth its work."""
@@ -202,15 +188,10 @@ class Worker(threading.Thread):
             self._obey(seek)
 
     def _go_on(self, seconds: float) -> None:
-        """Run for a stretch: as many steps as are owed, or as fit into STRETCH_SECONDS."""
-        if self._player is not None or self._preparing is not None:
-            return
-        if not self._paused:
-            rate = self._rate()
-            if rate is not None:
-                self._owed = min(self._owed + rate * seconds, max(1.0, rate * MOST_OWED_SECONDS))
-        steps = min(self._stretch, self._single_steps or self._steps_owed())
-        if steps < 1 or (self._paused and not self._single_steps):
+        """Run for a stretch, so long after the stretch before."""
+        rests = self._player is not None or self._preparing is not None
+        steps = 0 if rests else self._tempo.next(seconds)
+        if steps < 1:
             return
         began = time.monotonic()
         moment = self._run.moment()
@@ -221,17 +202,13 @@ class Worker(threading.Thread):
             self._follow()
             self._stop_run(str(error))
             return
-        done = len(block.fired)
         self._follow()
         self._watch.note(moment, block)
         self._live_trail.note(block)
-        self._owed = max(0.0, self._owed - done)
-        self._single_steps = max(0, self._single_steps - done)
-        self._steps_made.append((began, done))
         computed = time.monotonic() - began
-        self._adapt(computed - copied, done, copied)
-        passed, recorded = computed if self._rate() is None else seconds, moment.lane_size
-        if self._pace.is_due(computed, passed, recorded):
+        self._tempo.made(len(block.fired), began, computed - copied, copied)
+        passed = computed if self._tempo.rate is None else seconds
+        if self._pace.is_due(computed, passed, moment.lane_size):
             self._run.keep()
             if self._fork is not None:
                 self._fork.keep()
@@ -246,32 +223,10 @@ class Worker(threading.Thread):
             self._notice(f"the fork has ended, as in the other copy {error}")
             self._fork = None
 
-    def _steps_owed(self) -> int:
-        return LONGEST_STRETCH if self._rate() is None else int(self._owed)
-
-    def _rate(self) -> float | None:
-        """Steps per second that are asked for, or None for as fast as it goes."""
-        if self._speed == MAX:
-            return None
-        if self._speed == REALTIME:
-            dt = self._run.learner.task.dt
-            return 1.0 / dt if dt else None
-        return float(self._speed)
-
-    def _adapt(self, seconds: float, steps: int, copied: float) -> None:
-        """Lengthen or shorten the next stretches by how long one took, besides the copy of its
-        first moment, which is to take the lesser part of the time.
-        """
-        aim = min(max(STRETCH_SECONDS, 2.0 * copied), LONGEST_STRETCH_SECONDS)
-        if steps == self._stretch and seconds < aim / 2:
-            self._stretch = min(2 * self._stretch, LONGEST_STRETCH)
-        elif seconds > aim and steps > 1:
-            self._stretch = max(1, steps // 2)
-
     def _stop_run(self, error: str) -> None:
         """Pause with an error to be shown; the run is at its last good step."""
         self._error = error
-        self._paused, self._single_steps = True, 0
+        self._tempo.pause(paused=True)
         self._notice(error)
 
     # Commands
@@ -347,8 +302,8 @@ class Worker(threading.Thread):
             case StepOnce(steps) if self._player is not None:
                 self._player.step(steps)
             case StepOnce(steps):
-                self._paused, self._error = True, None
-                self._single_steps += steps
+                self._tempo.step(steps)
+                self._error = None
             case SetSpeed(speed):
                 self._set_speed(speed)
 
@@ -429,8 +384,8 @@ class Worker(threading.Thread):
                 self._player.seek(self._player.first)
             self._player.playing = not paused
             return
-        self._paused, self._single_steps = paused, 0
-        self._owed, self._error, self._steps_made = 0.0, None, []
+        self._tempo.pause(paused)
+        self._error = None
 
     # The past, and other ways the run might have gone
 
@@ -475,7 +430,7 @@ class Worker(threading.Thread):
         step = self._player.cursor
         self._run.take_over(self._player.replay)
         self._renew(keep_evaluations_to=step)
-        self._paused = False
+        self._tempo.paused = False
 
     def _begin_fork(self, difference: Difference) -> None:
         if self._player is not None:
@@ -506,12 +461,12 @@ class Worker(threading.Thread):
                 f"task {self._run.learner.task.name!r} has no time but its steps: "
                 "choose max or steps per second"
             )
-        self._speed, self._owed, self._steps_made = speed, 0.0, []
+        self._tempo.set_speed(speed)
 
     def _settle_speed(self) -> None:
         """The speed at which a task opens, and that of its excerpts."""
         task = self._run.learner.task
-        self._speed = MAX if task.natural_speed is None else task.natural_speed
+        self._tempo.set_speed(MAX if task.natural_speed is None else task.natural_speed)
         self._watch.on = task.natural_speed is None
         real_time = 1.0 / task.dt if task.dt else None
         self._watch.speed = task.watch_speed or real_time or self._watch.speed
@@ -536,10 +491,9 @@ class Worker(threading.Thread):
         self._watch.clear()
         self._excerpt_trail.clear()
         self._live_trail.clear()
-        self._owed, self._single_steps, self._error = 0.0, 0, None
-        self._stretch = 16
+        self._tempo.begin(self._run.learner.task.dt)
+        self._error = None
         self._last_change = (object, 0.0)
-        self._steps_made = []
         self._run_number += 1
 
     # Pictures
@@ -576,9 +530,9 @@ class Worker(threading.Thread):
             ghost=self._run.ghost,
             stuck=self._stuck.lanes,
             changes=tuple(self._run.log[-200:]),
-            paused=self._paused if self._player is None else not self._player.playing,
-            speed=self._speed,
-            steps_per_second=self._measured_speed(),
+            paused=self._tempo.paused if self._player is None else not self._player.playing,
+            speed=self._tempo.speed,
+            steps_per_second=self._tempo.measured(time.monotonic()),
             watching=self._watch.on,
             watch_speed=self._watch.speed,
             undo_words=self._run.undo_words,
@@ -605,9 +559,9 @@ class Worker(threading.Thread):
         else `live`.
         """
         is_alone = self._player is None and self._fork is None
-        plays = self._watch.in_slow_motion or (self._is_too_fast() and not self._paused)
+        plays = self._watch.in_slow_motion or (self._is_too_fast() and not self._tempo.paused)
         if is_alone and plays:
-            played = self._watch.play(self._run, seconds, go_on=not self._paused)
+            played = self._watch.play(self._run, seconds, go_on=not self._tempo.paused)
             if played is not None:
                 replay, block = played
                 shown = replay.learner.frame()
@@ -617,7 +571,7 @@ class Worker(threading.Thread):
                 return shown, self._excerpt_trail
         self._watch.rest()
         if self._player is not None:
-            return self._player.play(seconds, self._rate()), self._player.trail
+            return self._player.play(seconds, self._tempo.rate), self._player.trail
         return live, self._live_trail
 
     def _past(self) -> Past | None:
@@ -631,16 +585,5 @@ class Worker(threading.Thread):
         return Other(str(fork.difference), fork.start, fork.frame(), fork.curve())
 
     def _is_too_fast(self) -> bool:
-        rate = self._rate()
+        rate = self._tempo.rate
         return rate is None or rate > 2 * self._watch.speed
-
-    def _measured_speed(self) -> float:
-        """Steps per second over the last second, or over the last stretches of a slow run."""
-        now = time.monotonic()
-        recent = [(t, n) for t, n in self._steps_made if now - t < 1.0]
-        if len(recent) < SLOW_STRETCHES:
-            recent = self._steps_made[-SLOW_STRETCHES:]
-        self._steps_made = recent
-        if self._paused or len(recent) < 2:
-            return 0.0
-        return sum(n for _, n in recent[:-1]) / (recent[-1][0] - recent[0][0])
