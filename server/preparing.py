@@ -8,7 +8,8 @@ import time
 from collections.abc import Callable
 
 from hebbviz.learner import Learner
-from server.commands import Choose, Reset, SetRule
+from server.commands import Choose, Command, Reset, SetRule
+from server.run import Run
 from server.train import announced_compiling, warm_up
 
 SHORT_SECONDS = 0.25
@@ -48,3 +49,19 @@ class Preparation(threading.Thread):
 
     def _note(self) -> None:
         self._compiles = True
+
+
+def prepare(command: Command, run: Run) -> Preparation | None:
+    """Begin what a command must wait for; None if it can be carried out at once."""
+    if not isinstance(command, Demanding) or _asks_nothing_new(command, run.learner):
+        return None
+    preparation = Preparation(command, run.foreseen)
+    preparation.start()
+    return None if preparation.is_ready() else preparation
+
+
+def _asks_nothing_new(command: Demanding, learner: Learner) -> bool:
+    """Whether it goes with what is compiled: other parameters of the rule, the run anew."""
+    if isinstance(command, SetRule):
+        return command.rule.partition(":")[0] == learner.rule.name
+    return isinstance(command, Reset) and command.lanes is None and command.switch is None

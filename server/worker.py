@@ -1,13 +1,11 @@
 """The one thread that touches the learner: it takes commands and gives pictures.
 
-Commands come through a queue. A stretch of steps is cut so short that a command acts within
-a few hundredths of a second, whatever the speed. About 30 times a second it publishes a Picture;
-whoever draws takes the latest and may skip.
+Commands come through an inbox and act within a few hundredths of a second, whatever the speed.
+About 30 times a second it publishes a Picture; whoever draws takes the latest and may skip.
 """
 
 from __future__ import annotations
 
-import queue
 import threading
 import time
 import traceback
@@ -59,9 +57,10 @@ from server.estimate import Estimating
 from server.evaluation import Evaluator, evaluates_by_itself
 from server.fork import Difference, Fork
 from server.history import Totals
+from server.inbox import Inbox
 from server.picture import Other, Past, Picture
 from server.player import Player
-from server.preparing import Demanding, Preparation
+from server.preparing import prepare
 from server.recording.recordings import Options, Recordings
 from server.run import Run
 from server.stuck import StuckLanes
@@ -98,9 +97,7 @@ class Worker(threading.Thread):
         self._player: Player | None = None
         self._fork: Fork | None = None
         self._tempo, self._pace = Tempo(run.learner.task.dt), Pace()
-        self._commands: queue.SimpleQueue[Command | None] = queue.SimpleQueue()
-        self._preparing: Preparation | None = None
-        self._waiting: list[Command] = []
+        self._inbox = Inbox(lambda command: prepare(command, run))
         self._fresh = threading.Condition()
         self._picture: Picture | None = None
         self._stopping = threading.Event()
@@ -122,11 +119,11 @@ class Worker(threading.Thread):
 
     def send(self, command: Command) -> None:
         """Ask for something; from any thread, never blocks."""
-        self._commands.put(command)
+        self._inbox.put(command)
 
     def stop(self) -> None:
         self._stopping.set()
-        self._commands.put(None)
+        self._inbox.wake()
 
     @property
     def latest(self) -> Picture | None:
@@ -148,8 +145,7 @@ class Worker(threading.Thread):
         while not self._stopping.is_set():
             now = time.monotonic()
             try:
-                self._take_commands(wait=max(0.0, next_picture - now) if self._idle() else 0.0)
-                self._take_up_what_waits()
+                self._obey(wait=max(0.0, next_picture - now) if self._idle() else 0.0)
                 now = time.monotonic()
                 self._go_on(now - before)
                 before = now
@@ -166,30 +162,13 @@ class Worker(threading.Thread):
 
     def _idle(self) -> bool:
         """Whether nothing is to be stepped before the next picture."""
-        if self._player is not None or self._preparing is not None:
+        if self._player is not None or self._inbox.preparation is not None:
             return True
         return not self._tempo.is_due()
 
-    def _take_commands(self, wait: float) -> None:
-        """Those that wait; a seek that another follows at once is not worth its work."""
-        seek: Seek | None = None
-        try:
-            command = self._commands.get(timeout=wait) if wait else self._commands.get_nowait()
-            while command is not None:
-                if seek is not None and not isinstance(command, Seek):
-                    self._obey(seek)
-                seek = command if isinstance(command, Seek) else None
-                if seek is None:
-                    self._obey(command)
-                command = self._commands.get_nowait()
-        except queue.Empty:
-            pass
-        if seek is not None:
-            self._obey(seek)
-
     def _go_on(self, seconds: float) -> None:
         """Run for a stretch, so long after the stretch before."""
-        rests = self._player is not None or self._preparing is not None
+        rests = self._player is not None or self._inbox.preparation is not None
         steps = 0 if rests else self._tempo.next(seconds)
         if steps < 1:
             return
@@ -231,48 +210,13 @@ class Worker(threading.Thread):
 
     # Commands
 
-    def _obey(self, command: Command) -> None:
-        """Carry it out, in the order of the commands; after one that must be compiled for first
-        they wait, but for pausing.
-        """
-        if self._preparing is not None and not isinstance(command, Pause):
-            self._waiting.append(command)
-        elif self._is_prepared(command):
-            self._attempt(command)
-
-    def _is_prepared(self, command: Command) -> bool:
-        """Whether a command can be carried out at once; if not, it is as soon as it can be."""
-        if not isinstance(command, Demanding) or self._asks_nothing_new(command):
-            return True
-        preparation = Preparation(command, self._run.foreseen)
-        preparation.start()
-        if preparation.is_ready():
-            return True
-        self._preparing = preparation
-        return False
-
-    def _asks_nothing_new(self, command: Demanding) -> bool:
-        """Whether it goes with what is compiled: other parameters of the rule, the run anew."""
-        if isinstance(command, SetRule):
-            return command.rule.partition(":")[0] == self._run.learner.rule.name
-        return isinstance(command, Reset) and command.lanes is None and command.switch is None
-
-    def _take_up_what_waits(self) -> None:
-        """Carry out what is prepared by now, and what was asked for after it."""
-        preparation = self._preparing
-        if preparation is None or preparation.is_alive():
-            return
-        self._preparing = None
-        waiting, self._waiting = self._waiting, []
-        self._attempt(preparation.command)
-        for command in waiting:
-            self._obey(command)
-
-    def _attempt(self, command: Command) -> None:
-        try:
-            self._carry_out(command)
-        except (ValueError, TaskError) as error:
-            self._notice(str(error))
+    def _obey(self, wait: float) -> None:
+        """Carry out what has come in; where nothing has, wait for it."""
+        for command in self._inbox.take(wait):
+            try:
+                self._carry_out(command)
+            except (ValueError, TaskError) as error:
+                self._notice(str(error))
 
     def _carry_out(self, command: Command) -> None:
         match command:
@@ -499,7 +443,7 @@ class Worker(threading.Thread):
     # Pictures
 
     def _publish(self, seconds: float) -> None:
-        learner = self._run.learner
+        learner, preparation = self._run.learner, self._inbox.preparation
         live = self._run.frame()
         if live.since.steps:
             self._stuck.look(learner)
@@ -540,7 +484,7 @@ class Worker(threading.Thread):
             estimate=self._estimating.estimate,
             run_number=self._run_number,
             error=self._error,
-            preparing=None if self._preparing is None else self._preparing.words(),
+            preparing=None if preparation is None else preparation.words(),
             first=self._run.tape.first,
             past=self._past(),
             other=self._other(),
