@@ -325,11 +325,12 @@ class StopRecording:
 
 
 Looking = (
-    SetWatch | SetWatchSpeed | ShowReward | ShowBeginning | Evaluate | WatchLane | NextLane | Probe
-)
+    SetWatch | SetWatchSpeed | ShowReward | ShowBeginning | WatchLane | NextLane | Probe | Seek
+    | SeekEvent | SetLoop | BackToNow
+)  # fmt: skip
 """What only says how the run is looked at."""
 
 Command = (
-    Change | Pause | StepOnce | SetSpeed | Reset | Choose | Undo | Looking | Seek | SeekEvent
-    | SetLoop | BackToNow | TakeOver | StartFork | EndFork | StartRecording | StopRecording
+    Change | Pause | StepOnce | SetSpeed | Reset | Choose | Undo | Looking | TakeOver | StartFork
+    | EndFork | Evaluate | StartRecording | StopRecording
 )  # fmt: skip

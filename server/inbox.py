@@ -65,10 +65,11 @@ class Inbox:
 
     def _next_meanwhile(self, preparation: Preparation) -> Command | None:
         """Pausing; or, once all is compiled, the command that waited for it."""
-        pause = next((c for c in self._waiting if isinstance(c, Pause)), None)
-        if pause is not None:
-            self._waiting.remove(pause)
-        elif not preparation.is_alive():
-            self.preparation = None
-            return preparation.command
-        return pause
+        for command in self._waiting:
+            if isinstance(command, Pause):
+                self._waiting.remove(command)
+                return command
+        if preparation.is_alive():
+            return None
+        self.preparation = None
+        return preparation.command

@@ -88,6 +88,12 @@ class Player:
         self.trail.add(frame)
         return frame
 
+    def pause(self, paused: bool) -> None:
+        """Rest, or play on: at the end from the beginning."""
+        if not paused and self.cursor >= self.last:
+            self.seek(self.first)
+        self.playing = not paused
+
     def step(self, steps: int) -> None:
         """Go on by so many steps, and rest there."""
         self.playing = False

@@ -34,7 +34,7 @@ from viser.transforms import SO3
 from hebbviz.learner import Learner
 from hebbviz.rules.baseline import Baseline
 from hebbviz.rules.paper import PAPER
-from server import worker
+from server import session
 from server.app import Site
 from server.commands import (
     Choose,
@@ -256,7 +256,7 @@ def test_the_memory_slider_is_moved_by_keys(page: Page, live: Live) -> None:
 def test_the_memory_slider_is_dragged(
     page: Page, live: Live, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(worker, "SAME_GESTURE_SECONDS", 30.0)  # the machine may be busy
+    monkeypatch.setattr(session, "SAME_GESTURE_SECONDS", 30.0)  # the machine may be busy
     drag(page, "memory", 0.6, 0.75)
     eventually(page, lambda: 0.9975 < live.picture.beta < 0.9995)  # 10³ steps, at 3 of 0..4
     press(page, "Undo: β")  # a drag is one change

@@ -45,9 +45,10 @@ from server.recording.recorder import Recorder
 from server.recording.recordings import Options, Recordings
 from server.recording.targets import FileTarget
 from server.run import Run
+from server.showing import NOTHING_TO_PLAY
 from server.tape import Moment, Pace, Tape
 from server.trail import STEPS
-from server.worker import NOTHING_TO_PLAY, Worker
+from server.worker import Worker
 from sims.loading import make_task
 
 STEP = 1200

@@ -1,0 +1,168 @@
+"""What is shown of a run: the run as it is, an excerpt of it, a step of its past, or two copies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from hebbviz.moments import Block, Frame
+from server.commands import (
+    BackToNow,
+    Event,
+    Looking,
+    NextLane,
+    Probe,
+    Seek,
+    SeekEvent,
+    SetLoop,
+    SetWatch,
+    SetWatchSpeed,
+    ShowBeginning,
+    ShowReward,
+    WatchLane,
+)
+from server.fork import Fork
+from server.picture import Other, Past
+from server.player import Player
+from server.run import Run
+from server.tape import Moment
+from server.tempo import Tempo
+from server.trail import Trail
+from server.watch import Watch
+
+NOTHING_TO_PLAY = (
+    "the latest reward is played of a run that is shown live and alone: go back to now, or end the "
+    "fork"
+)
+
+
+class Showing:
+    """While there is a `player` the run rests and its past is shown; with a `fork`, both copies."""
+
+    def __init__(self, run: Run, on_notice: Callable[[str], None]) -> None:
+        self._run, self._notice = run, on_notice
+        self.watch = Watch()
+        self.player: Player | None = None
+        self.fork: Fork | None = None
+        self.live_trail, self._excerpt_trail = Trail(), Trail()
+        self._probes: tuple[int, ...] = ()
+
+    def begin(self) -> None:
+        """Show the run alone, as it is: it became another one."""
+        self.player = self.fork = None
+        self._probe()
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget what can be played, and what was shown."""
+        self.watch.clear()
+        self.live_trail.clear()
+        self._excerpt_trail.clear()
+
+    def note(self, moment: Moment, block: Block) -> None:
+        """Steps that the run just made, from a moment."""
+        self.watch.note(moment, block)
+        self.live_trail.note(block)
+
+    def play(self, live: Frame, seconds: float, tempo: Tempo) -> tuple[Frame, Trail]:
+        """What is shown after so much more time, and what came before it: the past; or the
+        excerpt's frame while one plays and the run is too fast to be seen; else `live`.
+        """
+        self.live_trail.add(live)
+        rate, go_on = tempo.rate, not tempo.paused
+        is_alone = self.player is None and self.fork is None
+        is_too_fast = rate is None or rate > 2 * self.watch.speed
+        if is_alone and (self.watch.in_slow_motion or (is_too_fast and go_on)):
+            played = self.watch.play(self._run, seconds, go_on=go_on)
+            if played is not None:
+                replay, block = played
+                shown = replay.learner.frame()
+                self._excerpt_trail.add(shown)
+                if block is not None:
+                    self._excerpt_trail.note(block)
+                return shown, self._excerpt_trail
+        self.watch.rest()
+        if self.player is not None:
+            return self.player.play(seconds, rate), self.player.trail
+        return live, self.live_trail
+
+    def past(self) -> Past | None:
+        player = self.player
+        return None if player is None else Past(player.cursor, player.loop, player.check)
+
+    def other(self) -> Other | None:
+        fork = self.fork
+        if fork is None:
+            return None
+        return Other(str(fork.difference), fork.start, fork.frame(), fork.curve())
+
+    def carry_out(self, command: Looking) -> None:
+        match command:
+            case SetWatch(on):
+                self.watch.on = on
+                if not on:
+                    self.watch.clear()
+            case SetWatchSpeed(speed):
+                self.watch.speed = speed
+            case ShowReward():
+                self._show_reward()
+            case ShowBeginning():
+                self.watch.show_beginning(self._run)
+            case WatchLane(lane):
+                self._look_at(lane)
+            case NextLane(by):
+                self._look_at((self._run.learner.watch + by) % self._run.learner.lanes)
+            case Probe(synapses):
+                self._probes = synapses
+                self._probe()
+            case Seek(step):
+                self.visit().seek(step)
+            case SeekEvent(event):
+                self._seek_event(event)
+            case SetLoop(loop):
+                self.visit().loop = loop
+            case BackToNow():
+                self.player = None
+                self.live_trail.clear()
+
+    def visit(self) -> Player:
+        """Show the past of the run, which rests meanwhile."""
+        if self.player is None:
+            if self.fork is not None:
+                raise ValueError("end the fork first: two copies have two pasts")
+            self.player = Player(self._run)
+        return self.player
+
+    def _seek_event(self, event: Event) -> None:
+        player = self.visit()
+        if event is Event.NEXT_REWARD:
+            step = player.next_reward()
+        else:
+            step = player.next_change(1 if event is Event.NEXT_CHANGE else -1)
+        if step is None:
+            self._notice(f"{event.value} was not found from step {player.cursor:,}")
+        else:
+            player.seek(step)
+
+    def _show_reward(self) -> None:
+        if self.player is not None or self.fork is not None:
+            raise ValueError(NOTHING_TO_PLAY)
+        if not self.watch.show_reward(self._run):
+            self._notice("no reward has come yet")
+
+    def _look_at(self, lane: int) -> None:
+        """Show another lane: now, in excerpts, in the past, in both copies of a fork."""
+        if lane == self._run.learner.watch:
+            return
+        self._run.look_at(lane)
+        self.watch.look_at(lane)
+        self._excerpt_trail.clear()
+        self.live_trail.clear()
+        if self.fork is not None:
+            self.fork.look_at(lane)
+        if self.player is not None:
+            self.player.seek(self.player.cursor)
+
+    def _probe(self) -> None:
+        """Follow those synapses that tabs ask for, of those that the network has."""
+        known = range(self._run.learner.topology.synapses)
+        self._run.learner.probe([s for s in self._probes if s in known])

@@ -1,0 +1,79 @@
+"""A session, stepped and told by hand: what is shown of a run, and when the run rests."""
+
+from __future__ import annotations
+
+import pytest
+
+from hebbviz.learner import Learner
+from hebbviz.moments import Frame
+from server.commands import BackToNow, EndFork, Seek, SetSpeed, ShowReward, StartFork, TakeOver
+from server.fork import NO_MEMORY
+from server.run import Run
+from server.session import Session
+from server.showing import NOTHING_TO_PLAY
+from sims.loading import make_task
+
+
+@pytest.fixture
+def session() -> Session:
+    """Of the pendulum, at 1 000 steps per second, two seconds after its start."""
+    it = Session(Run(Learner(make_task("pendulum")), make_task), on_notice=print)
+    it.carry_out(SetSpeed(1000.0))
+    for _ in range(40):
+        go_on(it, 0.05)
+    return it
+
+
+def go_on(session: Session, seconds: float) -> None:
+    """Let so much time pass: stretch by stretch, all that it owes."""
+    session.go_on(seconds)
+    while session.is_due():
+        session.go_on(0.0)
+
+
+def shown(session: Session) -> tuple[Frame, Frame]:
+    """The run's frame, and the one that is shown."""
+    live = session.run.frame()
+    return live, session.showing.play(live, 0.1, session.tempo)[0]
+
+
+def test_it_is_stepped_by_the_time_that_passes(session: Session) -> None:
+    assert session.run.learner.step in (1999, 2000)
+
+
+def test_one_of_the_run_an_excerpt_and_its_past_is_shown(session: Session) -> None:
+    live, frame = shown(session)
+    assert frame.step < live.step
+    assert session.showing.watch.excerpt() is not None
+    session.carry_out(Seek(450))
+    assert shown(session)[1].step == 450
+    assert session.showing.watch.excerpt() is None
+    session.carry_out(BackToNow())
+    session.carry_out(SetSpeed(2.0))  # as slow as can be seen
+    live, frame = shown(session)
+    assert frame is live
+
+
+def test_the_run_rests_while_its_past_is_shown(session: Session) -> None:
+    step = session.run.learner.step
+    session.carry_out(Seek(450))
+    go_on(session, 0.05)
+    assert session.run.learner.step == step
+    session.carry_out(TakeOver())
+    go_on(session, 0.05)
+    assert session.run.learner.step == 500
+
+
+def test_two_copies_go_on_together_and_have_no_past(session: Session) -> None:
+    session.carry_out(StartFork(NO_MEMORY))
+    go_on(session, 0.05)
+    other = session.showing.other()
+    assert other is not None
+    assert other.frame.step == session.run.learner.step > other.start
+    with pytest.raises(ValueError, match="end the fork first"):
+        session.carry_out(Seek(450))
+    with pytest.raises(ValueError, match=NOTHING_TO_PLAY):
+        session.carry_out(ShowReward())
+    session.carry_out(EndFork())
+    session.carry_out(Seek(450))
+    assert shown(session)[1].step == 450
