@@ -15,7 +15,6 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz import held
 from hebbviz.chance import (
     FIRST_EPISODE,
     INITIAL_WEIGHTS,
@@ -38,10 +37,11 @@ from hebbviz.limits import (
     check_step,
     check_steps,
 )
-from hebbviz.moments import Block, Frame, Keyframe, Summary
+from hebbviz.moments import Block, Frame, Keyframe
+from hebbviz.notes import NOBODY, Notes, Summing
 from hebbviz.rules import Rule, make_rule
 from hebbviz.task import CompiledTask, Tally, Task
-from hebbviz.tile import NOBODY, Notes, Sums, Tile, cut
+from hebbviz.tile import Tile, cut
 from hebbviz.topology import Topology
 
 Array = NDArray[np.float64]
@@ -149,10 +149,7 @@ class Learner:
         instead = np.zeros(0) if reward is None else np.array(reward, dtype=np.float64)
         if reward is not None and not (instead.shape == (steps,) and np.isfinite(instead).all()):
             raise ValueError(f"reward must be {steps} finite numbers, one for each step")
-        try:
-            self._run(steps, self.watch, notes, instead)
-        finally:
-            self._summed_steps += self.step - start
+        self._run(steps, self.watch, notes, instead)
         r = notes.rewards
         return Block(
             start, notes.fired, r[:, 0], r[:, 1], r[:, 2] > 0, notes.potentials, notes.worlds
@@ -181,7 +178,7 @@ class Learner:
                 for tile in self._tiles:
                     tile.run(
                         steps, self.step, self.task.answer, self._data, instead=instead,
-                        watch=self._seen_in(tile, watch), notes=notes, sums=self._sums,
+                        watch=self._seen_in(tile, watch), notes=notes, sums=self._since.sums,
                     )  # fmt: skip
             except BaseException as error:
                 self._fail(error)
@@ -206,7 +203,7 @@ class Learner:
             for tile in self._tiles:
                 tile.settle(
                     row, instead=instead, watch=self._seen_in(tile, watch), notes=notes,
-                    sums=self._sums,
+                    sums=self._since.sums,
                 )  # fmt: skip
         except BaseException as error:
             self._fail(error)
@@ -219,15 +216,13 @@ class Learner:
         """Remember this moment."""
         for tile in self._tiles:
             tile.keep()
-        for kept, now in self._kept:
-            np.copyto(kept, now)
+        self._since.keep()
 
     def _fail(self, error: BaseException) -> NoReturn:
         """Go back to the moment that was kept, and tell of what came after it."""
         for tile in self._tiles:
             tile.back()
-        for kept, now in self._kept:
-            np.copyto(now, kept)
+        self._since.back()
         if not isinstance(error, Exception):  # Ctrl-C
             raise error
         raise _task_error(self.task, error) from error
@@ -461,15 +456,6 @@ class Learner:
         tally = self.tally()
         neurons = self.topology.neurons
         raw, broadcast = tile.read_lane("reward", lane)
-        since = Summary(
-            steps=self._summed_steps,
-            spikes=self._sums.counts.copy(),
-            potential_range=self._sums.extremes[:, :neurons].copy(),
-            probes=self._probes,
-            probe_range=self._sums.extremes[:, neurons:].copy(),
-            weight_change=weight - self._summed_weight,
-            tally=tally - self._summed_tally,
-        )
         frame = Frame(
             step=self.step,
             topology=self.topology,
@@ -483,7 +469,7 @@ class Learner:
             world=self._lane_state(self.watch),
             reward=(float(raw), float(broadcast)),
             tally=tally,
-            since=since,
+            since=self._since.summary(weight, tally),
             **{
                 name: tile.read_lane(name, lane)
                 for name in ("activity", "before", "potential", "beta", "gamma")
@@ -660,18 +646,8 @@ class Learner:
 
     def _new_summary(self) -> None:
         tile, lane = self._place_of(self.watch)
-        self._summed_steps = 0
-        self._summed_tally = self.tally()
-        self._summed_weight = tile.synapses_of(lane)[0]
-        self._probes = self.probes
-        rows = [held.trace_rows(self.layout, s) for s in self._probes]
-        extremes = np.empty((2, self.topology.neurons + len(rows)))
-        extremes[0], extremes[1] = np.inf, -np.inf
-        self._sums = Sums(
-            np.zeros(self.topology.neurons, dtype=np.int64), extremes,
-            np.array(rows, dtype=np.int64).reshape(-1, 4),
-        )  # fmt: skip
-        self._kept = [(np.empty_like(now), now) for now in self._sums[:2]]
+        weight, _ = tile.synapses_of(lane)
+        self._since = Summing(self.layout, probes=self.probes, weight=weight, tally=self.tally())
 
 
 def _numbers(state: Array) -> Array:

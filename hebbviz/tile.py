@@ -7,7 +7,7 @@ copies of the last one with random numbers of their own; from outside they are n
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,43 +16,15 @@ from hebbviz import held
 from hebbviz.chance import SPIKES, uniforms
 from hebbviz.engine import FALL_EVERY, are_finite, engine, probabilities, written_out
 from hebbviz.layout import NEURON, WIDTHS, Layout, aligned, width_for
+from hebbviz.notes import NOBODY, Notes, Sums
 from hebbviz.rules import Rule
 from hebbviz.rules.paper import PAPER
 from hebbviz.written import plan_of
 
 Array = NDArray[np.float64]
 
-NOBODY = -1
-"""In place of a watched lane: nothing is noted."""
-
 _LONG = 3
 """Steps of which the first and the last are not all."""
-
-
-class Notes(NamedTuple):
-    """What the engine writes of each step: fired, rewards, and if asked for v and the world."""
-
-    fired: NDArray[np.uint8]
-    rewards: Array
-    potentials: Array
-    worlds: Array
-
-    @classmethod
-    def of(cls, steps: int, neurons: int, numbers: int | None) -> Notes:
-        """Room for `steps`; `numbers` of the world's state, None if v and state are not asked."""
-        near = 0 if numbers is None else steps
-        return cls(
-            np.zeros((steps, neurons), dtype=np.uint8), np.zeros((steps, 3)),
-            np.zeros((near, neurons)), np.zeros((near, numbers or 0)),
-        )  # fmt: skip
-
-
-class Sums(NamedTuple):
-    """What the engine sums up over steps: spikes, least and greatest v and z, rows of probes."""
-
-    counts: NDArray[np.int64]
-    extremes: Array
-    probes: NDArray[np.int64]
 
 
 def cut(lanes: int) -> list[int]:
