@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hebbviz import held
 from hebbviz.chance import SPIKES, uniforms
 from hebbviz.engine import FALL_EVERY, are_finite, engine, probabilities, written_out
-from hebbviz.layout import NEURON, WIDTHS, Layout, aligned, width_for
+from hebbviz.layout import NEURON, Layout, aligned, width_for
 from hebbviz.notes import NOBODY, Notes, Sums
 from hebbviz.rules import Rule
 from hebbviz.rules.paper import PAPER
@@ -25,12 +25,6 @@ Array = NDArray[np.float64]
 
 _LONG = 3
 """Steps of which the first and the last are not all."""
-
-
-def cut(lanes: int) -> list[int]:
-    """How many lanes each tile has: as few tiles as do, as equal as can be."""
-    tiles = -(-lanes // WIDTHS[-1])
-    return [len(part) for part in np.array_split(np.arange(lanes), tiles)]
 
 
 class Tile:
@@ -158,8 +152,11 @@ class Tile:
     def put_gamma(self, gamma: Array, step: int, fall: float) -> None:
         """Put γ (projections, lanes) in force as it is at this step, falling over `fall` steps."""
         self._gamma[:], self._fall = self._to_width(gamma), fall
+        self._put_gamma(step)
+
+    def _put_gamma(self, step: int) -> None:
         since = step - step % FALL_EVERY
-        self.layout.put(self.network, "gamma", self._gamma / (1.0 + since / fall))
+        self.layout.put(self.network, "gamma", self._gamma / (1.0 + since / self._fall))
 
     def put_world(self, world: Array) -> None:
         """The state of a compiled world, (numbers, lanes)."""
@@ -210,6 +207,8 @@ class Tile:
 
     def respond(self, step: int) -> Array:
         """What the outputs do at this step of a world in Python, (outputs, lanes)."""
+        if self._fall < np.inf and step % FALL_EVERY == 0:
+            self._put_gamma(step)
         self._engine.respond(
             self.network, self.layout.table, self._keys, step, *self.layout.topology.activity,
             self._clamped,

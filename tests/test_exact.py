@@ -166,7 +166,7 @@ def test_it_is_the_trace_after_the_step_that_meets_the_steps_reward():
     for _ in range(steps):
         earlier = still.traces
         still.skip(1)
-        reward = still._read("reward")[0]
+        reward = still._tiles.read("reward")[0]
         total, wrong = total + reward * still.traces, wrong + reward * earlier
     moving.skip(steps)
     assert np.array_equal(still.weights[:, 0], weights)

@@ -241,9 +241,9 @@ def test_and_exactly_so_in_expectation():
     terms = []
     for forced in (1.0, 0.0):
         learner.restore(moment)
-        learner._put("clamp", forced)
+        learner._tiles.put("clamp", forced)
         learner.advance(1)
-        terms.append(learner._read("surprise"))
+        terms.append(learner._tiles.read("surprise"))
     chance = learner.frame().probability[:, None]
     assert np.array_equal(terms[0], 1.0 - chance)
     assert np.array_equal(terms[1], -chance)

@@ -104,7 +104,7 @@ def test_a_rule_is_told_where_episodes_end(task):
     ends = []
     for _ in range(200):
         learner.advance(1)
-        raw, sent = learner._read("reward")
+        raw, sent = learner._tiles.read("reward")
         assert np.array_equal(sent, -raw)
         ends.append(sent)
     assert block.ended.any()
@@ -217,7 +217,7 @@ def test_a_yoked_lane_is_sent_the_reward_of_the_next():
     learner = Learner(Lamps(), rule=Yoked(), lanes=3, seed=1)
     for _ in range(50):
         learner.advance(1)
-        raw, sent = learner._read("reward")
+        raw, sent = learner._tiles.read("reward")
         assert np.array_equal(sent, np.roll(raw, -1))
 
 
@@ -234,7 +234,7 @@ def test_more_lanes_than_are_stepped_together_cannot_be_yoked():
     """The last of a tile would be sent the reward of its first."""
     learner = Learner(Lamps(), rule=Yoked(), lanes=64, seed=1)
     learner.advance(1)
-    raw, sent = learner._read("reward")
+    raw, sent = learner._tiles.read("reward")
     assert np.array_equal(sent, np.roll(raw, -1))
     words = r"^rule yoked lets lanes touch [^\n]* at most 64 lanes, this learner has 67$"
     with pytest.raises(ValueError, match=words):

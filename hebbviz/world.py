@@ -1,0 +1,232 @@
+"""The closed loop of a task with a network, in every lane: stepped by Python, or compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.chance import FIRST_EPISODE, NEXT_EPISODE, Draws
+from hebbviz.notes import Notes, Summing
+from hebbviz.task import CompiledTask, Task
+from hebbviz.tile import Tile
+from hebbviz.tiles import Tiles
+from hebbviz.topology import Topology
+
+Array = NDArray[np.float64]
+
+
+def world_of(task: Task, tiles: Tiles) -> World:
+    """The task in these lanes. It is nowhere yet: `start` it."""
+    return (
+        CompiledWorld(task, tiles) if isinstance(task, CompiledTask) else PythonWorld(task, tiles)
+    )
+
+
+class World:
+    """A task in all lanes of a network. Whatever the task raises goes through it.
+
+    A state is (numbers,) of one lane. The two kinds hold them each in their way.
+    """
+
+    def __init__(self, task: Task, tiles: Tiles) -> None:
+        self._task, self._tiles = task, tiles
+        self.step = 0
+        """The number of the step that comes next."""
+
+    # What each kind does in its own way
+
+    @property
+    def states(self) -> Array:
+        """Of all lanes, (numbers, lanes)."""
+        raise NotImplementedError
+
+    def state(self, lane: int) -> Array:
+        """Of one lane, (numbers,)."""
+        raise NotImplementedError
+
+    def put(self, states: Sequence[Array]) -> None:
+        """Set the state of each lane; what the network sees and who is clamped stays."""
+        raise NotImplementedError
+
+    def run(self, steps: int, *, instead: Array, watch: int, notes: Notes, since: Summing) -> None:
+        """Act and hear for so many steps.
+
+        `instead` (steps, or 0) is broadcast in place of the reward; `notes` and `since` take down
+        the lane `watch`, unless it is NOBODY. If a step fails, `step`, network, states and sums
+        are what they were before it or, compiled, before all of them.
+        """
+        raise NotImplementedError
+
+    # The same for both
+
+    def start(self) -> None:
+        """The first episode of each lane."""
+        lanes = range(self._tiles.first_lane, self._tiles.first_lane + self._tiles.lanes)
+        draws = [Draws(self._tiles.seed, lane, 0, FIRST_EPISODE) for lane in lanes]
+        self._enter([_numbers(self._task.restart(d)) for d in draws])
+
+    def press(self, control: str) -> None:
+        """Press one of the task's buttons, in every lane."""
+        lanes = range(self._tiles.lanes)
+        pressed = [_numbers(self._task.press(self.state(lane), control)) for lane in lanes]
+        self.place(np.stack(pressed, axis=1))
+
+    def place(self, states: Array) -> None:
+        """Go to other states, (numbers, lanes); the network sees its input next."""
+        if states.shape != self.states.shape:
+            raise ValueError(
+                f"the state must keep its shape {self.states.shape}, got {states.shape}"
+            )
+        self._enter([state.copy() for state in states.T])
+
+    def _enter(self, states: Sequence[Array]) -> None:
+        """Be in these states, and let the network see them; if that fails nothing has happened."""
+        seen = np.stack([self._see(state) for state in states], axis=1)
+        if not np.isfinite(seen).all():
+            raise ValueError("an observation is not a finite number")
+        self._clamp(states)
+        self.put(states)
+        for tile, lanes in self._tiles:
+            tile.see(seen[:, lanes])
+
+    def _see(self, state: Array) -> Array:
+        """What a state shows, (inputs,)."""
+        inputs = self._tiles.layout.topology.inputs
+        seen = np.asarray(self._task.observation(state), dtype=np.float64)
+        if seen.shape != (inputs,):
+            raise ValueError(f"an observation must have shape ({inputs},), got {seen.shape}")
+        return seen
+
+    def _clamp(self, states: Sequence[Array]) -> None:
+        """Make neurons fire or not at the next step, where the task wants it."""
+        if type(self._task).clamps is Task.clamps:
+            return
+        neurons = self._tiles.layout.topology.neurons
+        clamps = np.full((neurons, self._tiles.lanes), np.nan)
+        for lane, state in enumerate(states):
+            wanted = self._task.clamps(state)
+            if wanted is None:
+                continue
+            if wanted.shape != (neurons,):
+                raise ValueError(f"clamps must have shape ({neurons},), got {wanted.shape}")
+            clamps[:, lane] = wanted
+        self._tiles.put("clamp", clamps)
+
+
+class PythonWorld(World):
+    """A task whose methods are called at each step; each step stands or falls alone."""
+
+    _states: list[Array]
+
+    @property
+    def states(self) -> Array:
+        return np.stack(self._states, axis=1)
+
+    def state(self, lane: int) -> Array:
+        return self._states[lane].copy()
+
+    def put(self, states: Sequence[Array]) -> None:
+        self._states = list(states)
+
+    def run(self, steps: int, *, instead: Array, watch: int, notes: Notes, since: Summing) -> None:
+        watched = self._tiles.watched(watch)
+        for row in range(steps):
+            self._tiles.keep()
+            since.keep()
+            try:
+                states = self._act()
+                for tile, lane in watched:
+                    tile.settle(row, instead=instead, watch=lane, notes=notes, sums=since.sums)
+            except BaseException:
+                self._tiles.back()
+                since.back()
+                raise
+            if len(notes.worlds):
+                notes.worlds[row] = states[watch]
+            self._states = states
+            self.step += 1
+
+    def _act(self) -> list[Array]:
+        """Let the network act and hear what comes of it; returns the next states."""
+        states: list[Array] = []
+        for tile, lanes in self._tiles:
+            action = tile.respond(self.step)
+            for k, before in enumerate(self._states[lanes]):
+                states.append(self._answer(tile, k, before, action[:, k]))
+        self._clamp(states)
+        for tile, lanes in self._tiles:
+            tile.hear([self._see(state) for state in states[lanes]])
+        return states
+
+    def _answer(self, tile: Tile, k: int, before: Array, action: Array) -> Array:
+        """What comes after `before` in lane k of a tile; the tile is told reward and end."""
+        task, seed, lane = self._task, self._tiles.seed, tile.first_lane + k
+        state = _numbers(task.transition(before.copy(), action, Draws(seed, lane, self.step)))
+        tile.reward[k] = task.reward(state)
+        ended = task.ended(state)
+        tile.ended[k] = ended
+        if ended:
+            state = _numbers(task.restart(Draws(seed, lane, self.step, NEXT_EPISODE)))
+        if state.shape != before.shape:
+            raise ValueError(f"the state must keep its shape {before.shape}, got {state.shape}")
+        return state
+
+
+class CompiledWorld(World):
+    """A task that the engine calls, its states in the tiles; all steps stand or fall together."""
+
+    def __init__(self, task: CompiledTask, tiles: Tiles) -> None:
+        super().__init__(task, tiles)
+        self._answer, self._data = task.answer, np.array(task.data())
+
+    @property
+    def states(self) -> Array:
+        return self._tiles.joined(lambda tile: tile.world[:, : tile.lanes])
+
+    def state(self, lane: int) -> Array:
+        tile, k = self._tiles.place_of(lane)
+        return tile.world[:, k].copy()
+
+    def put(self, states: Sequence[Array]) -> None:
+        for tile, lanes in self._tiles:
+            tile.put_world(np.stack(states[lanes], axis=1))
+
+    def run(self, steps: int, *, instead: Array, watch: int, notes: Notes, since: Summing) -> None:
+        self._tiles.keep()
+        since.keep()
+        try:
+            for tile, lane in self._tiles.watched(watch):
+                tile.run(
+                    steps, self.step, self._answer, self._data, instead=instead, watch=lane,
+                    notes=notes, sums=since.sums,
+                )  # fmt: skip
+        except BaseException:
+            self._tiles.back()
+            since.back()
+            raise
+        self.step += steps
+
+
+def check_fit(task: Task, topology: Topology) -> None:
+    """Raise ValueError unless the task can be acted in through this network."""
+    if isinstance(task, CompiledTask) and type(task).clamps is not Task.clamps:
+        raise ValueError(
+            f"task {task.name!r} is compiled, so its clamps are not asked for at each "
+            "step: leave them out, or make it a Task"
+        )
+    inputs, outputs = len(task.inputs), len(task.outputs)
+    if topology.inputs != inputs:
+        raise ValueError(f"task {task.name!r} has {inputs} inputs, the network {topology.inputs}")
+    size = topology.group(topology.output).size
+    if size != outputs:
+        raise ValueError(
+            f"task {task.name!r} has {outputs} outputs, the network's group "
+            f"{topology.output!r} has {size}"
+        )
+
+
+def _numbers(state: Array) -> Array:
+    """What a task returned as its state, in float64 and its own array, as a save will hold it."""
+    return np.array(state, dtype=np.float64)
