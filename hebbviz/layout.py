@@ -164,6 +164,11 @@ class Layout:
             for name, size, end in zip(SECTIONS, sizes, ends, strict=True)
         }
 
+    @property
+    def packed_rows(self) -> int:
+        """All rows of a keyframe."""
+        return int(self.packed[SECTIONS[-1]].stop)
+
     def pack(self, state: Array, absent: Mapping[str, Array]) -> Array:
         """All SECTIONS in their order, float64: what a keyframe holds. `absent` are those of
         ABSENT.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.chance import INITIAL_WEIGHTS, LARGEST_SEED, check_seed, uniforms
-from hebbviz.layout import SECTIONS, Layout
+from hebbviz.layout import Layout
 from hebbviz.limits import (
     MOST_LANES,
     check_beta,
@@ -24,7 +24,6 @@ from hebbviz.limits import (
     check_gamma,
     check_lane,
     check_reward,
-    check_step,
     check_steps,
 )
 from hebbviz.moments import Block, Frame, Keyframe
@@ -39,9 +38,6 @@ Array = NDArray[np.float64]
 
 EVALUATION_STEP = 2**40
 """Frozen copies count their steps from here, so that they draw other numbers than the learner."""
-
-
-_BELOW_1 = np.nextafter(1.0, 0.0)
 
 
 class TaskError(Exception):
@@ -269,7 +265,7 @@ class Learner:
     @property
     def nbytes(self) -> int:
         """Of a keyframe's network."""
-        return 8 * int(self.layout.packed[SECTIONS[-1]].stop) * self.lanes
+        return 8 * self.layout.packed_rows * self.lanes
 
     @property
     def network(self) -> Array:
@@ -370,7 +366,8 @@ class Learner:
         Raises ValueError if the keyframe's arrays do not fit, the world cannot be in its state, or
         a number is out of range; nothing has happened then.
         """
-        self._check_keyframe(keyframe)
+        keyframe.check_fit(self.layout, self.world.shape, self.dtype)
+        self.task.check_states(keyframe.world.T)
         self.set_rule(keyframe.rule)
         self._world.step = keyframe.step
         np.copyto(self._gamma, keyframe.gamma)
@@ -405,28 +402,6 @@ class Learner:
         return copy
 
     # Inside
-
-    def _check_keyframe(self, keyframe: Keyframe) -> None:
-        remembered = (len(keyframe.rule.memory), self.lanes)
-        for what, array, shape in (
-            ("this network has", keyframe.network,
-             (self.layout.packed[SECTIONS[-1]].stop, self.lanes)),
-            ("this task has a world of", keyframe.world, self.world.shape),
-            ("this network has γ of", keyframe.gamma, self._gamma.shape),
-            (f"rule {keyframe.rule} has a memory of", keyframe.memory, remembered),
-        ):  # fmt: skip
-            if array.shape != shape:
-                raise ValueError(f"a keyframe of {what} shape {shape}, got {array.shape}")
-        check_step(keyframe.step)
-        check_fall(keyframe.fall)
-        in_force, beta = (keyframe.network[self.layout.packed[n]] for n in ("gamma", "beta"))
-        for gamma in (keyframe.gamma, in_force):
-            for extreme in (gamma.min(), gamma.max()):  # both are NaN if one is
-                check_gamma(float(extreme))
-        for extreme in (beta.min(), beta.max()):
-            if extreme != self.dtype(_BELOW_1):  # which is 1 in float32
-                check_beta(float(extreme))
-        self.task.check_states(keyframe.world.T)
 
     def _first_weights(self) -> Array:
         """(synapses, lanes)."""

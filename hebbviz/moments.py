@@ -16,12 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hebbviz.layout import Layout
+from hebbviz.limits import check_beta, check_fall, check_gamma, check_step
 from hebbviz.rules import Rule
 from hebbviz.rules.paper import PAPER
 from hebbviz.task import Tally
 from hebbviz.topology import Topology
 
 Array = NDArray[np.float64]
+
+_BELOW_1 = np.nextafter(1.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,31 @@ class Keyframe:
     rule: Rule
     memory: Array
     fall: float
+
+    def check_fit(
+        self, layout: Layout, world: tuple[int, ...], dtype: type[np.floating[Any]]
+    ) -> None:
+        """Raise ValueError unless a network of this layout and `dtype`, in a world of this shape
+        (numbers, lanes), can be in such a moment.
+        """
+        lanes = world[-1]
+        for what, array, shape in (
+            ("this network has", self.network, (layout.packed_rows, lanes)),
+            ("this task has a world of", self.world, world),
+            ("this network has γ of", self.gamma, (len(layout.topology.projections), lanes)),
+            (f"rule {self.rule} has a memory of", self.memory, (len(self.rule.memory), lanes)),
+        ):
+            if array.shape != shape:
+                raise ValueError(f"a keyframe of {what} shape {shape}, got {array.shape}")
+        check_step(self.step)
+        check_fall(self.fall)
+        in_force, beta = (self.network[layout.packed[name]] for name in ("gamma", "beta"))
+        for gamma in (self.gamma, in_force):
+            for extreme in (gamma.min(), gamma.max()):  # both are NaN if one is
+                check_gamma(float(extreme))
+        for extreme in (beta.min(), beta.max()):
+            if extreme != dtype(_BELOW_1):  # which is 1 in float32
+                check_beta(float(extreme))
 
     def lane(self, lane: int) -> Keyframe:
         """One of the lanes alone: the last axis of every array is the lane."""
