@@ -233,7 +233,8 @@ class Learner:
 
     @property
     def beta(self) -> float:
-        return self._first_of("beta")
+        tile, lane = self._tiles.place_of(0)
+        return float(tile.betas(lane)[0])
 
     @property
     def gamma(self) -> float:
@@ -242,7 +243,8 @@ class Learner:
 
     @property
     def gamma_in_force(self) -> float:
-        return self._first_of("gamma")
+        tile, lane = self._tiles.place_of(0)
+        return float(tile.read_lane("gamma", lane)[0])
 
     @property
     def fall(self) -> float:
@@ -342,9 +344,10 @@ class Learner:
             reward=(float(raw), float(broadcast)),
             tally=tally,
             since=self._since.summary(weight, tally),
+            beta=tile.betas(lane),
             **{
                 name: tile.read_lane(name, lane)
-                for name in ("activity", "before", "potential", "beta", "gamma")
+                for name in ("activity", "before", "potential", "gamma")
             },
             **{name: rows[:neurons, lane] for name, rows in tile.spikes().items()},
         )  # fmt: skip
@@ -414,11 +417,6 @@ class Learner:
             with _blamed(self.task):
                 weights[:, lane] = self.task.initial_weights(draws)
         return weights
-
-    def _first_of(self, name: str) -> float:
-        """A number that is the same for all projections and lanes."""
-        tile, lane = self._tiles.place_of(0)
-        return float(tile.read_lane(name, lane)[0])
 
     def _put_gamma(self) -> None:
         """Put γ in force, as it is at this step."""

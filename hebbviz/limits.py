@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+LARGEST_BETA = math.nextafter(1.0, 0.0)
+"""Which float32, like every β within 3e-8 of 1, rounds to 1."""
 LARGEST_GAMMA = 1e3
 LARGEST_FALL = 1e15
 LARGEST_REWARD = 1e6

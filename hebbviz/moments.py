@@ -17,15 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.layout import Layout
-from hebbviz.limits import check_beta, check_fall, check_gamma, check_step
+from hebbviz.limits import LARGEST_BETA, check_beta, check_fall, check_gamma, check_step
 from hebbviz.rules import Rule
 from hebbviz.rules.paper import PAPER
 from hebbviz.task import Tally
 from hebbviz.topology import Topology
 
 Array = NDArray[np.float64]
-
-_BELOW_1 = np.nextafter(1.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ class Keyframe:
             for extreme in (gamma.min(), gamma.max()):  # both are NaN if one is
                 check_gamma(float(extreme))
         for extreme in (beta.min(), beta.max()):
-            if extreme != dtype(_BELOW_1):  # which is 1 in float32
+            if extreme != dtype(LARGEST_BETA):
                 check_beta(float(extreme))
 
     def lane(self, lane: int) -> Keyframe:

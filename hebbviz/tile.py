@@ -16,6 +16,7 @@ from hebbviz import held
 from hebbviz.chance import SPIKES, uniforms
 from hebbviz.engine import FALL_EVERY, are_finite, engine, probabilities, written_out
 from hebbviz.layout import NEURON, Layout, aligned, width_for
+from hebbviz.limits import LARGEST_BETA
 from hebbviz.notes import NOBODY, Notes, Sums
 from hebbviz.rules import Rule
 from hebbviz.rules.paper import PAPER
@@ -75,6 +76,10 @@ class Tile:
     def read_lane(self, name: str, lane: int) -> Array:
         """The same of one lane, (rows,)."""
         return np.array(self.network[self.layout.where[name], lane], dtype=np.float64)
+
+    def betas(self, lane: int) -> Array:
+        """β of each projection, (projections,), as it can be set: below 1 where float32 is at 1."""
+        return np.minimum(self.read_lane("beta", lane), LARGEST_BETA)
 
     def spikes(self) -> dict[str, Array]:
         """The sections `probability`, `draw` and `fired` of the last step, (rows, lanes)."""

@@ -257,6 +257,19 @@ def test_a_frozen_copy_starts_its_own_count_and_never_learns(run):
     assert copy.watch == 1
 
 
+def test_a_beta_that_float32_rounds_to_1_can_be_had_again():
+    learner = new("sonar", beta=0.99999999, dtype="float32", lanes=2)
+    learner.advance(300)
+    twin, copy = learner.twin(), learner.frozen_copy()
+    assert same_learner(twin, new("sonar", beta=0.99999999, dtype="float32", lanes=2))
+    assert np.array_equal(copy.weights, learner.weights.astype(np.float32))
+    twin.restore(learner.keyframe())
+    assert same_learner(twin, learner)
+    twin.set_beta(twin.beta)
+    assert same_learner(twin, learner)
+    assert twin.beta == twin.frame().beta.max() < 1.0
+
+
 # Commands
 
 
