@@ -19,6 +19,7 @@ from server.commands import Change, Logged, SetBeta, SetGamma
 from server.history import Curve, Totals
 from server.run import Run
 from server.tape import Moment, Tape
+from server.trail import Seen
 
 BETA, GAMMA, NO_MEMORY, NO_REWARD, OTHER_REWARD = (
     "another β", "another γ", "β = 0", "no reward", "reward of another run",
@@ -65,6 +66,7 @@ class Fork:
         self.history = run.history.copy()
         self.log = list(run.log)
         self._donor = _donor(run) if difference.kind == OTHER_REWARD else None
+        self._seen = Seen()
         self.tape: Tape | None = None
         """Where its rewards are what differs the log does not tell all, and there is no tape."""
         if difference.change is not None:
@@ -95,9 +97,11 @@ class Fork:
     def look_at(self, lane: int) -> None:
         """Show another lane."""
         self.learner.look_at(lane)
+        self._seen.forget()
 
     def frame(self) -> Frame:
-        return self.learner.frame()
+        """What is shown of it."""
+        return self._seen.see(self.learner.frame())
 
     def curve(self) -> Curve:
         """The learning curve of the watched lane; what came before the fork is the run's own."""

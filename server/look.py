@@ -177,6 +177,7 @@ class Looks:
         self._radius = self._place.radius
         self._thick = THICKEST * float(np.clip((40 / topology.synapses) ** 0.3, 0.5, 2.5))
         self._glow = np.zeros(topology.neurons)
+        self._drawn = (-1, -1)
         self._pictures_since_step = 0
         self.pre, _ = endpoints(topology)
 
@@ -187,10 +188,10 @@ class Looks:
         made.trace_scales = self.trace_scales
         return made
 
-    def look(self, frame: Frame, *, beside: Frame | None = None) -> Look:
-        """How a frame is seen; the scales fit the one `beside` it too."""
+    def look(self, frame: Frame, *, beside: Frame | None = None, leaps: int = 0) -> Look:
+        """How a frame is seen after so many leaps; the scales fit the one `beside` it too."""
         inputs = self.topology.inputs
-        self._afterglow(frame)
+        self._afterglow(frame, leaps)
         radius = self._radius[inputs:]
         both = (frame,) if beside is None else (frame, beside)
         size = np.abs(frame.weight) / self.weight_scale.fit(_largest(f.weight for f in both))
@@ -217,13 +218,19 @@ class Looks:
             trace_height=np.clip(trace, -1, 1) * TALLEST_TRACE * self._place.large,
         )  # fmt: skip
 
-    def _afterglow(self, frame: Frame) -> None:
-        """Light of the neurons: their rate, fading; where steps are slow, spikes alone."""
-        if not frame.since.steps:
+    def _afterglow(self, frame: Frame, leaps: int) -> None:
+        """Light of the neurons: their rate, fading; where steps are slow, spikes alone; of a step
+        that nothing was shown to lead to, who fired in it.
+        """
+        before, self._drawn = self._drawn, (leaps, frame.step)
+        if before == self._drawn:
             self._pictures_since_step += 1
             return
-        fade = 0.35 if self._pictures_since_step < SLOW_PICTURES else 0.0
-        self._pictures_since_step = 0
+        follows = before[0] == leaps and self._pictures_since_step < SLOW_PICTURES
+        fade, self._pictures_since_step = 0.35 * follows, 0
+        if not frame.since.steps:
+            self._glow = (frame.activity[self.topology.inputs :] > 0).astype(float)
+            return
         rate = frame.since.spikes / frame.since.steps
         self._glow = np.maximum(rate, fade * self._glow)
 

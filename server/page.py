@@ -330,10 +330,11 @@ class Page:
         still = picture.paused and picture.excerpt is None
         shown = picture.shown
         beside = None if picture.other is None else picture.other.frame
+        leaps = picture.leaps
         if self._stage is not None:
-            self._stage.draw(shown, beside=beside, still=still)
+            self._stage.draw(shown, beside=beside, leaps=leaps, still=still)
         if self._other_stage is not None and beside is not None:
-            self._other_stage.draw(beside, beside=shown, still=still)
+            self._other_stage.draw(beside, beside=shown, leaps=leaps, still=still)
 
     def _write(self, picture: Picture) -> None:
         """All that is read: a few times a second."""

@@ -38,7 +38,8 @@ class Other:
 @dataclass(frozen=True)
 class Picture:
     """All that a view may show. `shown` is the excerpt's frame while one plays, or a step of the
-    `past` while that is shown, else `live`. The past goes back to step `first`.
+    `past` while that is shown, else `live`; `leaps` counts how often it did not follow on what was
+    shown before. The past goes back to step `first`.
 
     All is of the watched `lane`, but for `curves`, which are of all lanes, `evaluations`, the
     `ghost`, which is the curves of the run before, and the lanes that are `stuck`.
@@ -60,6 +61,7 @@ class Picture:
     frozen: bool
     live: Frame
     shown: Frame
+    leaps: int
     recent: Block | None
     shown_trail: tuple[Frame, ...]
     live_trail: tuple[Frame, ...]

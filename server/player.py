@@ -59,7 +59,7 @@ class Player:
         return self.replay.learner.step if self._shown is None else self._shown
 
     def seek(self, step: int) -> None:
-        """Show a step; it is made again with some before it."""
+        """Show a step; it is made again with some before it, and seen by itself."""
         step = min(max(step, self.first), self.last)
         self.trail.clear()
         self._owed, self._shown = 0.0, None
@@ -73,8 +73,9 @@ class Player:
         self.replay.go_to(step - STEPS)
         self.replay.learner.frame()
         each = max(1, math.ceil((step - self.cursor) / FRAMES_OF_LEAD))
-        self._go(step, each)
+        self._go(step - 1, each)
         self.trail.add(self.replay.learner.frame())
+        self._go(step, 1)
         self._begin_check()
 
     def play(self, seconds: float, rate: float | None) -> Frame:

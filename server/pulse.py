@@ -20,6 +20,7 @@ PULSE_PICTURES = 14
 """Pictures that the pulse takes through the network."""
 AFTERGLOW_PICTURES = 26
 """Pictures for which the weight changes stay to be seen."""
+LONG_AGO = 10_000
 QUIET_PICTURES = 25
 """Rewards closer together than this make no pulse each; their weight changes are shown."""
 GLOW, FAINT_GLOW = 1.9, 0.7
@@ -34,25 +35,34 @@ class Pulse:
     """Follows the shown Frames and draws the latest reward on a NetworkScene."""
 
     def __init__(self, synapses: int) -> None:
-        self._since_reward = 10_000
+        self._since_reward = LONG_AGO
         self._pulse_age = PULSE_PICTURES
         self._color: Rgb = palette.REWARD
         self._change = np.zeros(synapses)
+        self._followed: tuple[int, int] | None = None
         self._told = ""
         self._unsaid: tuple[str, str] | None = None
         self._alone = True
         self._said_at = 0.0
         self._hidden = True
 
-    def follow(self, frame: Frame, scene: NetworkScene, world: str, *, still: bool) -> None:
+    def follow(
+        self, frame: Frame, scene: NetworkScene, world: str, *, leaps: int, still: bool
+    ) -> None:
         """Advance by one picture; `world` is said over the network too.
 
-        While nothing moves (`still`) the pulse ends, but what the reward changed stays to be seen.
+        While nothing moves (`still`) the pulse ends, but what the reward changed stays to be seen;
+        a leap ends it.
         """
-        arrives = 0 < frame.since.steps <= FEW_STEPS and frame.since.tally.broadcast != 0.0
+        before, self._followed = self._followed, (leaps, frame.step)
+        is_new = before != self._followed
+        if before is None or before[0] != leaps:
+            self._since_reward, self._pulse_age = LONG_AGO, PULSE_PICTURES
+        few = 0 < frame.since.steps <= FEW_STEPS
+        arrives = is_new and few and frame.since.tally.broadcast != 0.0
         if arrives:
             self._arrive(frame)
-        if frame.since.steps:
+        if is_new:
             self._unsaid = self._words(frame), world
         self._say(scene, at_once=still or (arrives and self._pulse_age == 0))
         self._pulse_age += 1

@@ -26,7 +26,7 @@ from server.player import Player
 from server.run import Run
 from server.tape import Moment
 from server.tempo import Tempo
-from server.trail import Trail
+from server.trail import Seen, Trail
 from server.watch import Watch
 
 NOTHING_TO_PLAY = (
@@ -44,6 +44,7 @@ class Showing:
         self.player: Player | None = None
         self.fork: Fork | None = None
         self.live_trail, self._excerpt_trail = Trail(), Trail()
+        self.seen = Seen()
         self._probes: tuple[int, ...] = ()
 
     def begin(self) -> None:
@@ -55,8 +56,12 @@ class Showing:
     def forget(self) -> None:
         """Forget what can be played, and what was shown."""
         self.watch.clear()
+        self._forget_pictures()
+
+    def _forget_pictures(self) -> None:
         self.live_trail.clear()
         self._excerpt_trail.clear()
+        self.seen.forget()
 
     def note(self, moment: Moment, block: Block) -> None:
         """Steps that the run just made, from a moment."""
@@ -64,10 +69,15 @@ class Showing:
         self.live_trail.note(block)
 
     def play(self, live: Frame, seconds: float, tempo: Tempo) -> tuple[Frame, Trail]:
-        """What is shown after so much more time, and what came before it: the past; or the
-        excerpt's frame while one plays and the run is too fast to be seen; else `live`.
-        """
+        """What is shown after so much more time, and what came before it."""
         self.live_trail.add(live)
+        shown, trail = self._play(live, seconds, tempo)
+        return self.seen.see(shown), trail
+
+    def _play(self, live: Frame, seconds: float, tempo: Tempo) -> tuple[Frame, Trail]:
+        """The past; or the excerpt's frame while one plays and the run is too fast to be seen;
+        else `live`.
+        """
         rate, go_on = tempo.rate, not tempo.paused
         is_alone = self.player is None and self.fork is None
         is_too_fast = rate is None or rate > 2 * self.watch.speed
@@ -155,8 +165,7 @@ class Showing:
             return
         self._run.look_at(lane)
         self.watch.look_at(lane)
-        self._excerpt_trail.clear()
-        self.live_trail.clear()
+        self._forget_pictures()
         if self.fork is not None:
             self.fork.look_at(lane)
         if self.player is not None:

@@ -72,13 +72,14 @@ class Stage:
         """How many synapses are drawn."""
         return len(self._network.drawn)
 
-    def draw(self, frame: Frame, *, beside: Frame | None, still: bool) -> None:
-        """Show a frame, to scales that fit the one beside it too."""
+    def draw(self, frame: Frame, *, beside: Frame | None, leaps: int, still: bool) -> None:
+        """Show a frame, after so many leaps, to scales that fit the one beside it too."""
         self._reselect(frame)
-        self._network.draw(self.looks.look(frame, beside=beside))
+        self._network.draw(self.looks.look(frame, beside=beside, leaps=leaps))
         pose = self._task.pose(frame.world)
         alone = not self._task.props
-        self._pulse.follow(frame, self._network, pose.words if alone else "", still=still)
+        said = pose.words if alone else ""
+        self._pulse.follow(frame, self._network, said, leaps=leaps, still=still)
         if not alone:
             self._world.draw(pose)
 

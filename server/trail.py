@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 
 from hebbviz.moments import Block, Frame, join
 
@@ -21,7 +22,7 @@ class Trail:
 
     def add(self, frame: Frame) -> None:
         """Append a frame; after a leap begin anew."""
-        if self._frames and frame.step - frame.since.steps != self._frames[-1].step:
+        if self._frames and not _follows(frame, self._frames[-1]):
             self._frames.clear()
         if frame.since.steps or not self._frames:
             self._frames.append(frame)
@@ -42,6 +43,35 @@ class Trail:
     @property
     def frames(self) -> tuple[Frame, ...]:
         return tuple(self._frames)
+
+
+class Seen:
+    """What is shown, one Frame after another. While nothing moves a Frame keeps the summary of the
+    steps that led to it, so that a page that skips pictures is told of them all the same.
+    """
+
+    def __init__(self) -> None:
+        self.leaps = 0
+        """How often what was shown did not follow on what was shown before."""
+        self._last: Frame | None = None
+
+    def see(self, frame: Frame) -> Frame:
+        """The Frame that is shown next, as it is to be seen."""
+        last = self._last
+        if last is None or not _follows(frame, last):
+            self.leaps += 1
+        elif not frame.since.steps:
+            frame = replace(frame, since=last.since)
+        self._last = frame
+        return frame
+
+    def forget(self) -> None:
+        """What is shown next has nothing to do with what was shown."""
+        self._last = None
+
+
+def _follows(frame: Frame, last: Frame) -> bool:
+    return frame.topology is last.topology and frame.step - frame.since.steps == last.step
 
 
 def moved(frames: Sequence[Frame]) -> list[Frame]:

@@ -127,6 +127,7 @@ class Worker(threading.Thread):
             frozen=learner.frozen,
             live=live,
             shown=shown,
+            leaps=showing.seen.leaps,
             recent=trail.recent,
             shown_trail=trail.frames,
             live_trail=showing.live_trail.frames,

@@ -43,7 +43,7 @@ class Pendulum(Task):
     presets = {
         "quick": Preset(
             0.98, 1e-2,
-            "learns in about two hours of its time, which are seconds at full speed: γ 10⁴ times the "
+            "learns in about two hours of its time, seconds at full speed: γ 10⁴ times the "
             "paper's, β 0.98 for 0.995, and inputs scaled by 1, 2, 10, 2",
             {"gains": (1.0, 2.0, 10.0, 2.0)},
         ),

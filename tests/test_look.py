@@ -110,6 +110,20 @@ def test_a_spike_is_lit_and_silence_is_not_and_sizes_follow_the_numbers() -> Non
         assert (np.sign(look.input_height) == np.sign(frame.activity[:8])).all()
 
 
+def test_after_a_leap_the_light_is_of_who_fired_in_the_step_that_is_shown() -> None:
+    learner = Learner(make_task("pendulum"))
+    looks = Looks(learner.topology, palette.DARK)
+    for leaps, step in enumerate((57, 203, 31, 31, 0)):
+        moment = Learner(make_task("pendulum"), seed=leaps)
+        moment.skip(step)
+        frame = moment.frame()
+        assert frame.since.steps == 0
+        for _ in range(3):
+            look = looks.look(frame, leaps=leaps)
+            lit = (look.neuron_colors == palette.SPIKE).all(axis=1)
+            assert lit.tolist() == (frame.activity[8:] > 0).tolist()
+
+
 def test_many_steps_in_a_picture_are_a_rate() -> None:
     learner = Learner(make_task("pendulum"))
     learner.advance(400)
@@ -211,15 +225,28 @@ def test_what_is_said_last_is_of_what_is_seen() -> None:
     pulse = Pulse(learner.topology.synapses)
     for k in range(5):  # faster than words can be read
         learner.advance(1)
-        pulse.follow(learner.frame(), scene, f"step {k}", still=False)  # type: ignore[arg-type]
+        pulse.follow(learner.frame(), scene, f"step {k}", leaps=0, still=False)  # type: ignore[arg-type]
     assert len(scene.said) < 5
     still = learner.frame()
     assert still.since.steps == 0
-    pulse.follow(still, scene, "nothing new", still=True)  # type: ignore[arg-type]
+    pulse.follow(still, scene, "nothing new", leaps=0, still=True)  # type: ignore[arg-type]
     assert scene.said[-1][1] == "step 4"
     count = len(scene.said)
-    pulse.follow(still, scene, "nothing new", still=True)  # type: ignore[arg-type]
+    pulse.follow(still, scene, "nothing new", leaps=0, still=True)  # type: ignore[arg-type]
     assert len(scene.said) == count, "once"
+
+
+def test_after_a_leap_no_former_reward_is_told_of() -> None:
+    learner, scene = Learner(make_task("sonar"), seed=1), Heard()
+    pulse = Pulse(learner.topology.synapses)
+    for leaps in range(1, 41):
+        learner.skip(50)
+        learner.advance(1)
+        frame = learner.frame()
+        pulse.follow(frame, scene, "", leaps=leaps, still=True)  # type: ignore[arg-type]
+        told = scene.said[-1][0]
+        assert told == (arrival(frame) if frame.since.tally.broadcast else "")
+    assert {bool(reward) for reward, _ in scene.said} == {True, False}
 
 
 def test_a_reward_is_told_as_it_came_and_as_it_was_sent() -> None:

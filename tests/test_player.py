@@ -37,6 +37,7 @@ from server.commands import (
     StepOnce,
     StopRecording,
     Undo,
+    WatchLane,
 )
 from server.fork import BETA, GAMMA, KINDS, NO_MEMORY, NO_REWARD, OTHER_REWARD, Difference, Fork
 from server.player import Check, Player
@@ -113,6 +114,9 @@ def test_any_step_is_shown_as_it_was(pendulum: Run, step: int) -> None:
                 CHANGED[copy.step].apply(copy)
             fired.append(copy.advance(1).fired[0])
         assert np.array_equal(recent.fired, fired)
+        alone = player.play(0.03, None).since
+        assert (alone.steps, alone.spikes.tolist()) == (1, recent.fired[-1].tolist())
+        assert alone.tally.broadcast == recent.broadcast[-1]
     assert pendulum.learner.keyframe().digest() == before, "the run itself rests"
 
 
@@ -399,6 +403,39 @@ def test_a_live_run_is_rewound_and_left(stage: Stage) -> None:
     stage.send(BackToNow())
     assert stage.picture.past is None
     assert stage.run.learner.step == STEP, "the run has not moved"
+
+
+def test_a_reward_that_is_looked_for_is_seen_at_its_step_as_long_as_it_is_shown(
+    stage: Stage,
+) -> None:
+    stage.send(Seek(0))
+    for _ in range(5):
+        leaps = stage.picture.leaps
+        stage.send(SeekEvent(Event.NEXT_REWARD))
+        for _ in range(3):
+            stage.send()
+            shown = stage.picture.shown
+            assert (shown.since.steps, shown.since.tally.broadcast) == (1, -1.0)
+            change = shown.weight - straight("pendulum", shown.step - 1).weights[:, 0]
+            np.testing.assert_allclose(shown.since.weight_change, change, atol=1e-15)
+            assert stage.picture.leaps == leaps + 1
+
+
+def test_of_another_lane_nothing_is_said_that_was_of_the_one_before(tmp_path: Path) -> None:
+    run = Run(Learner(make_task("pendulum"), lanes=2), make_task)
+    run.advance(500)
+    stage = Stage(run, tmp_path)
+    try:
+        stage.send(StepOnce(1))
+        stage.wait(lambda: stage.picture.shown.since.steps == 1)
+        leaps = stage.picture.leaps
+        stage.send(WatchLane(1))
+        assert (stage.picture.leaps, stage.picture.shown.since.steps) == (leaps + 1, 0)
+        stage.send(WatchLane(1))
+        assert stage.picture.leaps == leaps + 1
+    finally:
+        stage.worker.stop()
+        stage.worker.join(5.0)
 
 
 def test_a_run_is_taken_over_from_its_past_and_brought_back(stage: Stage) -> None:
