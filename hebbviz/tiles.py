@@ -30,15 +30,16 @@ class Tiles:
         self.layout, self.seed = layout, seed
         self.first_lane, self.lanes = first_lane, lanes
         ends = np.cumsum(_cut(lanes)).tolist()
-        self._parts = [slice(start, end) for start, end in pairwise([0, *ends])]
+        parts = [slice(start, end) for start, end in pairwise([0, *ends])]
         self._tiles = [
             Tile(layout, seed=seed, first_lane=first_lane + part.start,
                  lanes=part.stop - part.start, dtype=dtype, written=written)
-            for part in self._parts
+            for part in parts
         ]  # fmt: skip
+        self._cut = list(zip(self._tiles, parts, strict=True))
 
     def __iter__(self) -> Iterator[tuple[Tile, slice]]:
-        return zip(self._tiles, self._parts, strict=True)
+        return iter(self._cut)
 
     def place_of(self, lane: int) -> tuple[Tile, int]:
         """The tile of a lane, and its number there."""
