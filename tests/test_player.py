@@ -492,9 +492,9 @@ def test_a_change_in_the_past_takes_over_there(stage: Stage) -> None:
 def test_a_fork_runs_beside_and_one_of_the_two_is_kept(stage: Stage) -> None:
     stage.send(Seek(500), StartFork(NO_MEMORY), Pause(paused=False))
     stage.wait(lambda: stage.picture.other is not None and stage.picture.live.step > 1000)
-    other = stage.picture.other
-    assert (other.words, other.start) == (NO_MEMORY, 500)
-    assert other.frame.step == stage.picture.live.step
+    picture = stage.picture
+    assert (picture.other.words, picture.other.start) == (NO_MEMORY, 500)
+    assert picture.other.frame.step == picture.live.step
     stage.send(Pause(paused=True), EndFork(keep_other=True))
     assert stage.picture.other is None
     assert stage.picture.beta == 0.0
