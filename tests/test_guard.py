@@ -21,6 +21,7 @@ import viser
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from raw_client import CAMERA, RawClient, wait_until
+from websockets.asyncio.server import serve
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.http11 import Request
@@ -61,13 +62,21 @@ class Site:
         return [value for label, value in self.events if label == widget.label]
 
 
-@pytest.fixture(scope="module")
-def site() -> Iterator[Site]:
+@contextlib.contextmanager
+def opened() -> Iterator[Site]:
     refusals: list[str] = []
     server = open_server(port=0, on_refusal=refusals.append)
     fence = server.gui.add_number("fence", 0)
-    yield Site(server, refusals, server.get_port(), fence)
-    server.stop()
+    try:
+        yield Site(server, refusals, server.get_port(), fence)
+    finally:
+        server.stop()
+
+
+@pytest.fixture(scope="module")
+def site() -> Iterator[Site]:
+    with opened() as site:
+        yield site
 
 
 @pytest.fixture
@@ -81,7 +90,8 @@ def client(site: Site) -> Iterator[RawClient]:
 def no_traceback(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
     """Whatever clients do, the server logs no error."""
     yield
-    assert [record for record in caplog.records if record.levelno >= logging.ERROR] == []
+    told = caplog.get_records("setup") + caplog.get_records("call")
+    assert [record for record in told if record.levelno >= logging.ERROR] == []
 
 
 # Addresses and ports.
@@ -127,6 +137,34 @@ def test_a_stopped_server_frees_its_port() -> None:
     port = server.get_port()
     server.stop()
     open_server(port=port, on_refusal=print).stop()
+
+
+OPENING = (
+    "GET / HTTP/1.1\r\nHost: 127.0.0.1:{}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+    "Sec-WebSocket-Key: MDEyMzQ1Njc4OTAxMjM0NQ==\r\nSec-WebSocket-Version: 13\r\n"
+    "Sec-WebSocket-Protocol: viser-v{}\r\n\r\n"
+)
+"""How a tab opens its connection."""
+
+
+def test_a_stopped_server_waits_for_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is connected is cut off: a browser opens connections in advance, on which it says
+    nothing, and a tab may stall.
+    """
+    patience = serve.__init__.__kwdefaults__
+    for name in ("open_timeout", "close_timeout"):
+        monkeypatch.setitem(patience, name, 600.0)
+    with opened() as site:
+        where = "127.0.0.1", site.port
+        with socket.create_connection(where), socket.create_connection(where) as stalled:
+            stalled.settimeout(10.0)
+            stalled.sendall(OPENING.format(site.port, viser.__version__).encode())
+            assert stalled.recv(4096).startswith(b"HTTP/1.1 101 ")
+            wait_until(lambda: len(site.server.gate.connections) == 2)
+            site.server.stop()
+            serving = site.server._websock_server._server_thread
+            serving.join(60.0)
+            assert not serving.is_alive()
 
 
 # Requests.
@@ -263,15 +301,17 @@ def test_the_page_is_shown_the_true_value(site: Site, client: RawClient) -> None
     client.wait(lambda: page.value == 0.5)
 
 
-def test_a_flood_is_reported_once(site: Site, client: RawClient) -> None:
-    slider = site.slider()
-    page = client.find(slider.label)
+def test_a_flood_is_reported_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guard, "SETTLE_SECONDS", 30.0)  # however long the sending takes
+    with opened() as site, RawClient(site.port) as client:
+        slider = site.slider()
+        page = client.find(slider.label)
 
-    def flood(_: str) -> None:
-        for n in range(50):
-            client.send_value(page, 2.0 + n)
+        def flood(_: str) -> None:
+            for n in range(50):
+                client.send_value(page, 2.0 + n)
 
-    assert_refused(site, client, slider, flood)
+        assert_refused(site, client, slider, flood)
 
 
 @pytest.mark.parametrize(
@@ -403,6 +443,7 @@ def test_foreign_messages_change_nothing(
     slider = site.slider()
     uuid = client.find(slider.label).uuid
     buffer = site.server._websock_server.get_message_buffer()
+    wait_until(lambda: not site.server.gate._unsettled)  # true values are still to be shown
     kept, camera = len(buffer.message_from_id), site.server.get_clients()
     for message in hostile_messages(uuid):
         client.send(message)
