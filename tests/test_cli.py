@@ -31,6 +31,11 @@ ROOT = Path(__file__).parents[1]
 HEBBVIZ = [sys.executable, "-m", "server.cli"]
 PATIENCE = 60.0
 """Seconds for a server to be up; most of it is for compiling on a machine that never did."""
+HEAVY = {
+    "distributed", "llvmlite", "matplotlib", "numba", "pyarrow", "pymunk", "rerun", "trimesh",
+    "viser",
+}  # fmt: skip
+"""What takes long to import."""
 
 POLE = '''
 import numpy as np
@@ -241,11 +246,15 @@ def test_bad_input_to_a_process() -> None:
 
 @pytest.mark.parametrize("arguments", [["--help"], ["serve", "--help"], ["train", "-h"]])
 def test_help_is_quick_and_tells_every_option(arguments: list[str]) -> None:
-    began = time.monotonic()
+    """It imports nothing that takes long."""
+    python, *program = HEBBVIZ
     done = subprocess.run(
-        [*HEBBVIZ, *arguments], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    assert time.monotonic() - began < 2.0
+        [python, "-X", "importtime", *program, *arguments],
+        cwd=ROOT, capture_output=True, text=True, check=True, timeout=PATIENCE,
+    )  # fmt: skip
+    imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
+    assert "server.options" in imported
+    assert not imported & HEAVY
     assert done.stdout.startswith("usage: hebbviz")
     wanted = {
         "--help": ["serve", "train", "--version"],
@@ -429,15 +438,16 @@ def test_a_task_that_breaks_in_training_loses_nothing(
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_stopped_training_is_saved(number: signal.Signals, tmp_path: Path) -> None:
     path, mark = tmp_path / "x.npz", tmp_path / "mark"
-    touch = f"        __import__('pathlib').Path({str(mark)!r}).touch()\n"
     head, at, tail = POLE.partition("    def reward(self, state):\n")
+    touch = (
+        "        self.rewards = getattr(self, 'rewards', 0) + 1\n"
+        "        if self.rewards == 100:  # some steps are made before the training, to compile\n"
+        f"            __import__('pathlib').Path({str(mark)!r}).touch()\n"
+    )
     (tmp_path / "marks.py").write_text(head + at + touch + tail)
     task = f"{tmp_path}/marks.py:Pole"
     with started("train", "--task", task, "--steps", 10**11, "--save", path) as process:
-        end = time.monotonic() + PATIENCE
-        while not mark.exists() and time.monotonic() < end:
-            time.sleep(0.05)
-        time.sleep(0.2)
+        wait_until(mark.exists, PATIENCE)
         began = time.monotonic()
         process.send_signal(number)
         out, err = process.communicate(timeout=10)
@@ -499,10 +509,8 @@ def test_serve_answers_and_ends_cleanly(number: signal.Signals) -> None:
         # A browser opens connections in advance, on which it says nothing.
         with RawClient(int(port)), socket.create_connection((host, int(port))):
             time.sleep(1.0)
-            began = time.monotonic()
             process.send_signal(number)
-            out, err = process.communicate(timeout=10)
-        assert time.monotonic() - began < 5.0  # 2 on a calm machine
+            out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
     assert err == ""
     assert out.splitlines()[-1].startswith("stopped at step ")
@@ -537,8 +545,10 @@ def test_serve_from_python_takes_the_next_port_and_says_so(
         serve(learner, speed=50, stop=stop)
         stopper.join()
     said = capsys.readouterr().out.splitlines()
-    assert f"port {port} is taken, using " in said[0]
-    assert said[1].startswith("hebbviz is at http://127.0.0.1:")
+    moved = [line.startswith(f"port {port} is taken, using ") for line in said]
+    told = [line.startswith("hebbviz is at http://127.0.0.1:") for line in said]
+    assert (sum(moved), sum(told)) == (1, 1)
+    assert moved.index(True) < told.index(True)
     assert said[-1] == f"stopped at step {learner.step}"
     assert learner.step > 10
 
@@ -547,7 +557,7 @@ def test_warns_beyond_loopback() -> None:
     with started("--host", "0.0.0.0", "--port", 0, "--no-browser") as process:
         address, before = address_of(process)
         process.terminate()
-        process.communicate(timeout=10)
+        process.communicate(timeout=PATIENCE)
     assert address.startswith("localhost:")
     assert any("no password" in line for line in before)
     assert process.returncode == 0
