@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import http.client
 import json
 import signal
 import subprocess
 import sys
-import time
-import urllib.request
+import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -114,21 +114,26 @@ def test_steps_to_export_are_from_and_to(
 
 @contextmanager
 def program(*options: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """A program that serves a page, and the address that it says."""
+    """A program that serves a page, and the address that it says, as host:port."""
     process = subprocess.Popen(
         [*HEBBVIZ, *options, "--no-browser", "--port", "0"], cwd=ROOT, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
     )  # fmt: skip
+    watchdog = threading.Timer(PATIENCE, process.kill)
+    watchdog.start()
+    said: list[str] = []
     try:
         assert process.stdout is not None
-        until = time.monotonic() + PATIENCE
-        said = []
-        while time.monotonic() < until:
-            said.append(process.stdout.readline())
-            if "http://" in said[-1]:
+        for line in process.stdout:
+            said.append(line)
+            if "http://" in line:
                 break
-        yield process, "http://" + said[-1].split("http://")[1].split()[0]
+        else:
+            raise AssertionError(f"it ended, or told no address for {PATIENCE} s: {said}")
+        watchdog.cancel()
+        yield process, said[-1].split("http://")[1].split()[0].rstrip("/")
     finally:
+        watchdog.cancel()
         process.kill()
         process.communicate(timeout=10.0)
 
@@ -136,11 +141,13 @@ def program(*options: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 @pytest.mark.parametrize("command", ["replay", "view"])
 def test_pages_of_recordings_are_served_until_they_are_stopped(folder: Path, command: str) -> None:
     with program(command, str(folder / "pole.rrd")) as (process, address):
-        with urllib.request.urlopen(address, timeout=20.0) as answer:
+        with closing(http.client.HTTPConnection(address, timeout=20.0)) as connection:
+            connection.request("GET", "/")
+            answer = connection.getresponse()
             assert answer.status == 200
             assert b"<html" in answer.read().lower()
         process.send_signal(signal.SIGINT)
-        assert process.wait(10.0) == 0
+        assert process.wait(PATIENCE) == 0
 
 
 def test_help_tells_of_every_command(capsys: pytest.CaptureFixture[str]) -> None:
