@@ -41,7 +41,7 @@ def brought_on(plan, tile, seconds):
 
 @pytest.fixture
 def short_shares(monkeypatch):
-    monkeypatch.setattr(workers, "SHARE_SECONDS", 0.01)
+    monkeypatch.setattr(workers, "SHARE_SECONDS", 0.001)
 
 
 def same(a, b):

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import hebbviz
 from hebbviz.learner import Learner
@@ -37,8 +38,6 @@ from sims.pendulum import Pendulum
 from sims.pendulum_physics import PLANT
 from sims.sonar import Sonar
 from sims.synapse import SCRIPT
-
-PIL = pytest.importorskip("PIL.Image")
 
 ROOT = Path(__file__).parents[1]
 LEVER = f"{ROOT / 'tests' / 'examples' / 'lever.py'}:Lever"
@@ -120,7 +119,7 @@ def test_three_files_are_written_and_say_by_what_they_were_made(made, name):
     assert {Path(p) for p in figure.says["files"]} == set(figure.folder.iterdir())
     told = {"command": figure.says["command"], "version": hebbviz.__version__, "seed": "0"}
     assert figure.comments == told
-    with PIL.open(figure.file("png")) as image:
+    with Image.open(figure.file("png")) as image:
         image.load()
         assert image.width > 1000
         assert {k: image.text[k.title()] for k in told} == told

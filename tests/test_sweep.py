@@ -9,11 +9,11 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from raw_client import wait_until
 
 from hebbviz import files
 from hebbviz.learner import Learner
@@ -70,7 +70,6 @@ def test_a_range_of_beta_goes_as_near_to_1_as_it_was_asked_to():
 )
 def test_what_it_refuses(options, said, tmp_path, capsys, monkeypatch):
     if "--scheduler" in options:
-        pytest.importorskip("distributed", reason="Dask is not installed")
         monkeypatch.setattr(workers, "CONNECT_SECONDS", 0.5)
     task = [] if "--task" in options else ["--task", "sonar"]
     code = main(["sweep", *task, "--out", str(tmp_path / "out"), *options.split()])
@@ -203,11 +202,17 @@ def test_ctrl_c_and_the_same_command_again(tmp_path):
         [sys.executable, "-c", one_step_a_share, *words, "--out", str(out)],
         cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     ) as process:  # fmt: skip
-        while not list(out.glob("runs/*/lanes-*.npz")):
-            assert process.poll() is None
-            time.sleep(0.01)
-        process.send_signal(signal.SIGINT)
-        said, errors = process.communicate(timeout=60)
+
+        def has_kept() -> bool:
+            assert process.poll() is None, process.communicate()
+            return bool(list(out.glob("runs/*/lanes-*.npz")))
+
+        try:
+            wait_until(has_kept, 60.0)
+            process.send_signal(signal.SIGINT)
+            said, errors = process.communicate(timeout=60)
+        finally:
+            process.kill()
     assert process.returncode == 130
     assert said == ""
     assert f"stopped; the same command goes on from what is kept in {out}" in errors
