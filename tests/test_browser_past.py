@@ -225,12 +225,15 @@ def test_taking_over_goes_on_from_there_and_undo_brings_back(page: Page, live: L
     go_to(page, live, 600)
     press(page, "Take over here")
     eventually(page, lambda: live.picture.past is None and live.picture.live.step > 610)
+    live.send(Pause(paused=True))
+    eventually(page, lambda: live.picture.paused)
     assert live.picture.live.step < STEPS
     press(page, "Undo: taking over at step 600")
     eventually(page, lambda: live.picture.live.step >= STEPS)
-    assert live.picture.changes[0].step == CHANGED_AT
-    if live.picture.live.step == STEPS:
-        assert np.array_equal(live.picture.live.weight, weight)
+    picture = live.picture
+    assert picture.live.step == STEPS, "it rests as before the undo"
+    assert [c.step for c in picture.changes] == [CHANGED_AT]
+    assert np.array_equal(picture.live.weight, weight)
 
 
 def test_another_beta_in_the_past_takes_over(page: Page, live: Live) -> None:

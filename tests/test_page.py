@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from server.picture import Picture
 
 
+PATIENCE = 30.0
+"""Seconds for what comes at once on a machine that does nothing else."""
+
+
 class OutOfSight(Lever):
     """A world whose scene fails."""
 
@@ -52,7 +56,11 @@ def latest(site: Site) -> Picture:
 def goes_on(site: Site, client: RawClient) -> None:
     """Steps are made, and the tab is told of what is drawn."""
     step, frames = latest(site).live.step, client.frames
-    client.wait(lambda: latest(site).live.step > step and client.frames > frames + 20)
+
+    def moved() -> bool:
+        return latest(site).live.step > step and client.frames > frames + 20
+
+    client.wait(moved, PATIENCE)
 
 
 def _size(window: viser.CameraHandle) -> tuple[int, int]:
@@ -65,7 +73,7 @@ def test_a_window_without_a_size_is_nothing_to_fail_by(size: tuple[int, int]) ->
     with running(make_task("pendulum")) as site, RawClient(site._server.get_port()) as client:
         client.send(CAMERA | {"image_width": width, "image_height": height})
         tabs = site._server.get_clients
-        client.wait(lambda: [_size(tab.camera) for tab in tabs().values()] == [size])
+        client.wait(lambda: [_size(tab.camera) for tab in tabs().values()] == [size], PATIENCE)
         assert camera.aspect_of(*tabs().values()) == camera.WHOLE_ASPECT
         goes_on(site, client)
 
@@ -78,8 +86,8 @@ def test_what_cannot_be_drawn_is_said_and_the_run_goes_on(capfd: Any) -> None:
         return "".join(said).count("IndexError: no scene")
 
     with running(OutOfSight()) as site:
-        wait_until(times)
+        wait_until(times, PATIENCE)
         number, step = latest(site).number, latest(site).live.step
-        wait_until(lambda: latest(site).number > number + 40)
+        wait_until(lambda: latest(site).number > number + 40, PATIENCE)
         assert latest(site).live.step > step
     assert times() == 1
