@@ -7,6 +7,7 @@ GUI are decoded, so that many of them cost little.
 from __future__ import annotations
 
 import asyncio
+import socket
 import threading
 import time
 from collections.abc import Callable, Coroutine
@@ -186,6 +187,15 @@ def wait_until(condition: Callable[[], T], timeout: float = 5.0) -> T:
             raise TimeoutError(f"waited {timeout} s in vain")
         time.sleep(0.005)
     return result
+
+
+def answers(host: str, port: int) -> bool:
+    """Whether a connection can be made there; why not is said in other words by each machine."""
+    try:
+        socket.create_connection((host, port), timeout=2.0).close()
+    except OSError:
+        return False
+    return True
 
 
 async def _connect(host: str, port: int, name: str, origin: str | None) -> ClientConnection:
