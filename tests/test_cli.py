@@ -226,7 +226,7 @@ def test_bad_input_is_one_line_and_exit_2(
     assert err.endswith("\n")
     assert "Traceback" not in err
     assert BAD[arguments].format(folder) in err
-    assert time.monotonic() - began < PATIENCE
+    assert time.monotonic() - began < 5 * PATIENCE  # some are found out about once compiled
 
 
 def test_signals_are_as_before_after_a_command(capsys: pytest.CaptureFixture[str]) -> None:

@@ -483,7 +483,7 @@ def test_a_run_goes_on_when_the_disk_is_full_and_still_ends(
         if by_others:
             program.wait_for(lambda: size(path) > 3 * MEGABYTE)
             fill(folder)
-        program.wait_for(lambda: "has stopped" in program.err(), 30.0)
+        program.wait_for(lambda: "has stopped" in program.err())
         recorded = open_recording(path).last_step
         time.sleep(0.5)
         assert program.end() < ENDS
@@ -734,7 +734,7 @@ def test_a_viewer_gets_what_is_recorded(tmp_path: Path, start: Callable[..., Pro
     assert not answers("127.0.0.2", port)
     assert not answers("::1", port)
     with viewer(url, tmp_path / "live.rrd"):
-        wait_until(lambda: size(tmp_path / "live.rrd") > MEGABYTE // 2, 30.0)
+        wait_until(lambda: size(tmp_path / "live.rrd") > MEGABYTE // 2, PATIENCE)
         time.sleep(2.0)
         assert program.end() < ENDS
         wait_until(lambda: rests(tmp_path / "live.rrd"), 30.0)
@@ -765,16 +765,23 @@ def test_a_viewer_that_stalls_or_is_killed_slows_nothing(
     ):  # fmt: skip
         for one in (tmp_path / "a.rrd", tmp_path / "b.rrd", tmp_path / "run.rrd"):
             program.wait_for(partial(step_now, one))
+        usual = min(1.0, *(share_made(tmp_path / "run.rrd", 500) for _ in range(3)))
         stalled.send_signal(signal.SIGSTOP)
         killed.kill()
-        shares = [share_made(tmp_path / "run.rrd", 500) for _ in range(5)]
-        assert sorted(shares)[2] > 0.9, "most of the time it is as fast as it is to be"
+        shares = [share_made(tmp_path / "run.rrd", 500)]
+        assert program.err() == ""
+        shares += [share_made(tmp_path / "run.rrd", 500) for _ in range(4)]
+        assert sorted(shares)[2] > 0.9 * usual, "most of the time it is as fast as before"
         reached = step_now(tmp_path / "run.rrd")
         program.wait_for(lambda: step_now(tmp_path / "run.rrd") > reached)
         assert program.end() < ENDS
     assert program.process.returncode == 0
-    assert program.err() == ""
-    assert open_recording(tmp_path / "run.rrd").notice is None
+    # one that stalls for long ends the stream, but nothing else
+    stopped = "hebbviz: recording into the stream has stopped, the run goes on: "
+    assert program.err().count("\n") <= 1
+    assert program.err().startswith(stopped) or not program.err()
+    recording = open_recording(tmp_path / "run.rrd")
+    assert (recording.ending, recording.notice) == ("it was stopped", None)
 
 
 def share_made(path: Path, speed: float, seconds: float = 3.0) -> float:
