@@ -37,6 +37,7 @@ from server.recording import header, take, thinning
 from server.recording.reader import BadRecording, Recording, open_recording
 from server.recording.recorder import Recorder
 from server.recording.recordings import Options, Recordings
+from server.recording.targets import FileTarget, StreamTarget
 from server.recording.thinning import Plan, Thinning, parse_budget
 from server.run import Run
 from sims.loading import make_task
@@ -550,7 +551,7 @@ def is_refused(command: str, path: Path, words: str, capfd: pytest.CaptureFixtur
 class Blocked:
     """A target whose stream takes nothing until `free` is set; it holds what came then."""
 
-    live, words = False, "a slow disk"
+    live, words, silence = False, "a slow disk", FileTarget.silence
 
     def __init__(self, path: Path) -> None:
         self._path, self.free = path, threading.Event()
@@ -768,18 +769,16 @@ def test_a_viewer_that_stalls_or_is_killed_slows_nothing(
         usual = min(1.0, *(share_made(tmp_path / "run.rrd", 500) for _ in range(3)))
         stalled.send_signal(signal.SIGSTOP)
         killed.kill()
-        shares = [share_made(tmp_path / "run.rrd", 500)]
-        assert program.err() == ""
-        shares += [share_made(tmp_path / "run.rrd", 500) for _ in range(4)]
-        assert sorted(shares)[2] > 0.9 * usual, "most of the time it is as fast as before"
+        shares = [share_made(tmp_path / "run.rrd", 500) for _ in range(5)]
+        assert sorted(shares)[2] > 0.5 * usual, "what is held up makes no steps"
         reached = step_now(tmp_path / "run.rrd")
         program.wait_for(lambda: step_now(tmp_path / "run.rrd") > reached)
+        assert program.err() == ""
         assert program.end() < ENDS
     assert program.process.returncode == 0
-    # one that stalls for long ends the stream, but nothing else
-    stopped = "hebbviz: recording into the stream has stopped, the run goes on: "
-    assert program.err().count("\n") <= 1
-    assert program.err().startswith(stopped) or not program.err()
+    stopped = "recording into the stream has stopped, the run goes on"
+    left = f"hebbviz: {stopped}: {StreamTarget.silence}\n"
+    assert program.err() in ("", left), "what is left at the end is not waited for"
     recording = open_recording(tmp_path / "run.rrd")
     assert (recording.ending, recording.notice) == ("it was stopped", None)
 

@@ -189,7 +189,7 @@ class Take(threading.Thread):
     def check_end(self) -> None:
         """Say so if it has not ended by now."""
         if self.is_alive():
-            self._fail("the disk does not answer")
+            self._fail(self._target.silence)
 
     @property
     def is_stuck(self) -> bool:
@@ -211,7 +211,7 @@ class Take(threading.Thread):
             return False
         waiting = self._told - self._written
         if waiting > MOST_KEPT:
-            self._fail("the disk does not answer")
+            self._fail(self._target.silence)
         if waiting > (MOST_KEPT if must else MOST_QUEUED):
             return False
         self._told += size
@@ -259,11 +259,27 @@ class Take(threading.Thread):
 
     def _flush(self, writer: Writer) -> None:
         writer.flush()
-        self._stream.flush(timeout_sec=FLUSH_PATIENCE)
+        while not self._is_flushed():
+            pass
         self._flushed = self._written
         size = self._target.size()
         if size is not None and self._written > 1_000_000:
             self._ratio = float(np.clip(size / self._written, 0.1, 10.0))
+
+    def _is_flushed(self) -> bool:
+        """Whether all is on its way in good time. What a viewer holds up is waited for, and what
+        comes meanwhile stays on the queue, which is bounded; a disk that holds up is an error.
+        """
+        try:
+            self._stream.flush(timeout_sec=FLUSH_PATIENCE)
+        except RuntimeError as error:
+            if "timed out" not in str(error):
+                raise
+            if self._target.live and self._ended is None:
+                return False
+            self._fail(self._target.silence)
+            raise
+        return True
 
     def _fail(self, why: str) -> None:
         if self.error is None:

@@ -27,6 +27,8 @@ class FileTarget:
     """
 
     live = False
+    silence = "the disk does not answer"
+    """What to say when nothing gets through."""
 
     def __init__(self, path: str | Path) -> None:
         path = Path(path)
@@ -76,6 +78,7 @@ class StreamTarget:
     """A server on 127.0.0.1 that rerun's viewers connect to; it waits for none of them."""
 
     live = True
+    silence = "a viewer does not take what it is sent"
     words = "the stream"
 
     def __init__(self, port: int = DEFAULT_STREAM_PORT) -> None:
