@@ -38,7 +38,7 @@ def called(signature: Any, *, allocates: bool = False) -> Callable[[Callable[...
     Unless it `allocates` arrays, references to those it is given are not counted, which would
     cost more than a small world's step does.
     """
-    options = {} if allocates else {"_nrt": False}
+    options = {"error_model": "numpy"} | ({} if allocates else {"_nrt": False})
 
     def compile_now(function: Callable[..., Any]) -> Any:
         """What `numba.cfunc` does, which has no place to say what the cache is bound to."""

@@ -28,7 +28,7 @@ from hebbviz.limits import (
 )
 from hebbviz.moments import Block, Frame, Keyframe
 from hebbviz.notes import NOBODY, Notes, Summing
-from hebbviz.rules import Rule, make_rule
+from hebbviz.rules import Rule, RuleError, make_rule
 from hebbviz.task import Tally, Task
 from hebbviz.tiles import Tiles
 from hebbviz.topology import Topology
@@ -41,8 +41,8 @@ EVALUATION_STEP = 2**40
 
 
 class TaskError(Exception):
-    """A task raised or broke its contract in mid-run. The learner is at the step before; where the
-    task is compiled, at the step it was at before the call.
+    """A task or a rule raised or broke its contract in mid-run. The learner is at the step before;
+    where the task is compiled, at the step it was at before the call.
     """
 
 
@@ -432,9 +432,11 @@ class Learner:
 
 @contextmanager
 def _blamed(task: Task) -> Iterator[None]:
-    """Whatever is raised here is the task's failure."""
+    """Whatever is raised here is the task's failure, or the rule's."""
     try:
         yield
+    except RuleError as error:
+        raise TaskError(str(error)[:400]) from error
     except Exception as error:
         what = str(error).splitlines()[0] if str(error) else ""
         said = f"task {task.name!r} failed: {type(error).__name__}: {what}"

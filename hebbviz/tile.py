@@ -18,7 +18,7 @@ from hebbviz.engine import FALL_EVERY, are_finite, engine, probabilities, writte
 from hebbviz.layout import NEURON, Layout, aligned, width_for
 from hebbviz.limits import LARGEST_BETA
 from hebbviz.notes import NOBODY, Notes, Sums
-from hebbviz.rules import Rule
+from hebbviz.rules import Rule, RuleError
 from hebbviz.rules.paper import PAPER
 from hebbviz.written import plan_of
 
@@ -61,7 +61,8 @@ class Tile:
     # The rule
 
     def set_rule(self, rule: Rule) -> None:
-        """Another rule, its memory empty; raises ValueError if it cannot be compiled."""
+        """Another rule, its memory empty; raises ValueError if it fails or cannot be compiled."""
+        self._rule = rule
         (self._modulate, self._modulate_now), self._constants = rule.compiled(), rule.constants
         self._modulated = np.zeros(0 if rule == PAPER else self.width)
         self.memory = np.zeros((len(rule.memory), self.lanes))
@@ -175,7 +176,8 @@ class Tile:
     ) -> None:  # fmt: skip
         """`steps` steps of a compiled world, the first of them number `start`.
 
-        Raises ValueError if what the world answered is not finite.
+        Raises ValueError if what the world answered is not finite, RuleError if what the rule made
+        of it is not.
         """
         if self._written_out is None or watch != NOBODY or self._clamped or steps < _LONG:
             self._run(steps, start, answer, data, instead, watch, notes, sums)
@@ -187,6 +189,7 @@ class Tile:
         if steps > 0:
             self._responded = start + steps - 1
         self._check_answer(self.totals[0])
+        self._check_rule(self.totals[1])
 
     def _run(
         self, steps: int, start: int, answer: Any, data: Array, instead: Array, watch: int,
@@ -231,23 +234,46 @@ class Tile:
         self._check_answer(self.reward)
 
     def _check_answer(self, rewards: Array) -> None:
-        if not are_finite(self._observed, rewards, self.lanes):
-            raise ValueError("an observation or a reward is not a finite number")
+        """Raise ValueError unless what was seen and these rewards, or their sums, are finite."""
+        if are_finite(self._observed, rewards, self.lanes):
+            return
+        for value in rewards[: self.lanes]:
+            if not np.isfinite(value):
+                raise ValueError(f"a reward, {value}, is not a finite number")
+        (number, lane), *_ = np.argwhere(~np.isfinite(self._observed))
+        value = self._observed[number, lane]
+        raise ValueError(f"an observation, {value} of input {number}, is not a finite number")
+
+    def _check_rule(self, sent: Array) -> None:
+        """Raise RuleError unless what was sent, or the sums of it, and what is kept are finite."""
+        for what, numbers in (("sent", sent[: self.lanes]), ("kept", self.memory)):
+            if not np.isfinite(numbers).all():
+                raise RuleError(f"rule {self._rule} {what} what is not a finite number")
 
     def settle(self, row: int, *, instead: Array, watch: int, notes: Notes, sums: Sums) -> None:
-        """All that follows the world's answer."""
+        """All that follows the world's answer; raises RuleError if the rule fails."""
         sent = self.reward
         if len(self._modulated):
-            sent, lanes = self._modulated, slice(self.lanes)
-            self._modulate_now(
-                self.memory, self._constants, self.reward[lanes], self.ended[lanes], sent[lanes]
-            )
+            sent = self._modulated
+            self._modulate_lanes()
         if len(instead):
             sent = np.full(self.width, instead[row])
         self._engine.settle(
             self.network, self.layout.table, self.layout.topology.activity[1], self.totals,
             self._observed, self.reward, sent, self.ended, watch, row, *notes[:3], *sums,
         )  # fmt: skip
+
+    def _modulate_lanes(self) -> None:
+        """What the rule makes of the reward of the lanes that were asked for."""
+        lanes = slice(self.lanes)
+        try:
+            self._modulate_now(
+                self.memory, self._constants, self.reward[lanes], self.ended[lanes],
+                self._modulated[lanes],
+            )  # fmt: skip
+        except Exception as error:
+            raise RuleError(f"rule {self._rule}: {type(error).__name__}: {error}") from error
+        self._check_rule(self._modulated)
 
     # Going back
 

@@ -164,7 +164,7 @@ class PythonWorld(World):
         """What comes after `before` in lane k of a tile; the tile is told reward and end."""
         task, seed, lane = self._task, self._tiles.seed, tile.first_lane + k
         state = _numbers(task.transition(before.copy(), action, Draws(seed, lane, self.step)))
-        tile.reward[k] = task.reward(state)
+        tile.reward[k] = _number(task.reward(state))
         ended = task.ended(state)
         tile.ended[k] = ended
         if ended:
@@ -225,6 +225,13 @@ def check_fit(task: Task, topology: Topology) -> None:
             f"task {task.name!r} has {outputs} outputs, the network's group "
             f"{topology.output!r} has {size}"
         )
+
+
+def _number(reward: object) -> float:
+    try:
+        return float(reward)  # type: ignore[arg-type]  # what is none is told
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"reward must return a number, got {reward!r:.60}") from error
 
 
 def _numbers(state: Array) -> Array:

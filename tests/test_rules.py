@@ -13,13 +13,15 @@ from conformance import check_rule, same_learner
 
 import sims
 from hebbviz import rules
+from hebbviz.dry_run import try_out
 from hebbviz.engine import FALL_EVERY
 from hebbviz.files import BadFile, load, save
-from hebbviz.learner import Learner
+from hebbviz.learner import Learner, TaskError
 from hebbviz.rules import Rule, make_rule, parameter, register, rule_names
 from hebbviz.rules.baseline import Baseline
 from hebbviz.rules.paper import Paper
 from hebbviz.rules.yoked import Yoked
+from hebbviz.task import Reading
 from server.commands import Reset, SetBeta, SetFall, SetRule
 from server.experiments import Plan
 from server.experiments.run import _completed
@@ -371,10 +373,123 @@ def test_a_rule_that_cannot_be_compiled_is_told():
 
         @staticmethod
         def modulate(memory, constants, reward, ended, sent):
-            sent[0] = reward.nothing
+            sent[:] = eval("reward")
 
     with pytest.raises(ValueError, match=r"^rule broken: modulate cannot be compiled: "):
         Learner(Lamps(), rule=Broken())
+
+
+def rule_of(modulate, kept=()):
+    """A rule of this function."""
+    said = {"name": "mine", "memory": kept, "modulate": staticmethod(modulate)}
+    return dataclass(frozen=True)(type("Mine", (Rule,), said))()
+
+
+def raises(memory, constants, reward, ended, sent):
+    raise KeyError("no\nmore")
+
+
+def raises_at_ends(memory, constants, reward, ended, sent):
+    if ended[0]:
+        raise KeyError("no more")
+    sent[:] = reward
+
+
+def writes_beyond(memory, constants, reward, ended, sent):
+    sent[:] = reward
+    sent[len(sent)] = 1.0
+
+
+def keeps_without_room(memory, constants, reward, ended, sent):
+    sent[:] = reward
+    memory[0, 0] = 1.0
+
+
+def changes_the_reward(memory, constants, reward, ended, sent):
+    reward *= 2.0
+    sent[:] = reward
+
+
+def sends_nothing(memory, constants, reward, ended, sent):
+    sent = reward  # noqa: F841
+
+
+def sends_at_rewards_alone(memory, constants, reward, ended, sent):
+    for lane in range(len(reward)):
+        if reward[lane] != 0.0:
+            sent[lane] = reward[lane]
+
+
+def divides(memory, constants, reward, ended, sent):
+    sent[:] = 1.0 / reward
+
+
+def takes_itself(self, memory, constants, reward, ended, sent):
+    sent[:] = reward
+
+
+@pytest.mark.parametrize(
+    ("modulate", "what"),
+    [(raises, "KeyError: 'no\\nmore'"), (raises_at_ends, "KeyError"),
+     (writes_beyond, "IndexError: index 1 is out of bounds"),
+     (keeps_without_room, "IndexError: index 0 is out of bounds"),
+     (changes_the_reward, "read-only"), (takes_itself, "missing 1 required"),
+     (sends_nothing, "must send a finite number in each lane at each step, got nan"),
+     (sends_at_rewards_alone, "got nan"), (divides, "got inf"),
+     (Rule.modulate, "the class has no method 'modulate'")],
+)  # fmt: skip
+def test_a_rule_that_fails_is_refused_before_it_is_compiled(modulate, what):
+    learner = Learner(Lamps())
+    with pytest.raises(ValueError, match=f"^rule mine: [^\n]*{re.escape(what)}[^\n]*$"):
+        learner.set_rule(rule_of(modulate))
+    assert learner.rule == Paper()
+
+
+@pytest.mark.parametrize("least", [1, 2, 5])
+def test_a_rule_is_tried_out_in_as_many_lanes_as_it_needs(least):
+    def modulate(memory, constants, reward, ended, sent):
+        tried.append(len(reward))
+        sent[:] = reward
+
+    tried = []
+    rule = rule_of(modulate)
+    type(rule).least_lanes = least
+    try_out(rule)
+    assert set(tried) == {least, least + 2}
+
+
+COUNT = (Reading("steps"),)
+
+
+def divides_late(memory, constants, reward, ended, sent):
+    for lane in range(len(reward)):
+        memory[0, lane] += 1.0
+        sent[lane] = 1.0 / (50.0 - memory[0, lane])
+
+
+def grows(memory, constants, reward, ended, sent):
+    for lane in range(len(reward)):
+        memory[0, lane] = 1e20 * memory[0, lane] + 1.0
+        sent[lane] = reward[lane]
+
+
+@pytest.mark.parametrize("task", ["lamps", "lever"])
+@pytest.mark.parametrize(
+    ("modulate", "at", "what"),
+    [(divides_late, 49, "sent"), (grows, 16, "kept")],
+)  # fmt: skip
+@pytest.mark.parametrize("lanes", [1, 3])
+def test_what_is_not_finite_in_mid_run_is_told_of_the_rule(task, modulate, at, what, lanes, capfd):
+    """And the learner is where a failing task would leave it."""
+    learner = Learner(TASKS[task](), rule=rule_of(modulate, COUNT), lanes=lanes)
+    learner.advance(10)
+    with pytest.raises(TaskError, match=f"^rule mine {what} what is not a finite number$"):
+        learner.skip(100)
+    assert learner.step == (at if task == "lever" else 10)
+    assert np.isfinite(learner.weights).all() and np.isfinite(learner.memory).all()
+    assert np.isfinite(learner.totals).all()
+    learner.advance(at - learner.step)
+    assert capfd.readouterr().err == ""
 
 
 @dataclass(frozen=True)

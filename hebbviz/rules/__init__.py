@@ -23,6 +23,7 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from hebbviz.compiled import called
+from hebbviz.dry_run import try_out
 from hebbviz.layout import WIDTHS
 from hebbviz.limits import MOST_LANES
 from hebbviz.task import Reading
@@ -40,6 +41,10 @@ def parameter(default: float, *, least: float, most: float, unit: str = "", hint
     """A number that a rule can be given, from `least` to `most`."""
     said = {"least": least, "most": most, "unit": unit, "hint": hint}
     return field(default=default, metadata=said)
+
+
+class RuleError(Exception):
+    """A rule raised in mid-run, or sends or keeps what is no number."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +78,12 @@ class Rule:
 
         `memory` (rows, lanes) is zero at first and is changed in place; `constants` (parameters,)
         holds the parameters in the order of the fields; `reward` (lanes,) is r of the task,
-        `ended` (lanes,) 1 where an episode ended. It writes m into `sent` (lanes,).
+        `ended` (lanes,) 1 where an episode ended. It writes m into `sent` (lanes,), a finite number
+        for each lane at each step.
+
+        Compiled code looks neither at bounds nor at errors, so a rule is first tried out in plain
+        Python, see `dry_run`. Whether what it sends and keeps is finite is looked at after all the
+        steps of a call, as it is for a `CompiledTask`.
         """
         raise NotImplementedError
 
@@ -108,8 +118,13 @@ class Rule:
     def compiled(self) -> tuple[Any, Any]:
         """`modulate`, compiled: to be called by compiled code, and by Python.
 
-        Raises ValueError if numba cannot do that.
+        Raises ValueError if numba cannot do that, or if it fails in a dry run.
         """
+        if type(self).modulate is Rule.modulate:
+            raise ValueError(
+                f"rule {self.name}: the class has no method 'modulate', see hebbviz.rules.Rule"
+            )
+        try_out(self)
         try:
             return _compiled(type(self).modulate)
         except NumbaError as error:
@@ -125,7 +140,7 @@ class Rule:
 @cache
 def _compiled(modulate: Any) -> tuple[Any, Any]:
     inner = called(MODULATE, allocates=True)(modulate)
-    return inner, njit(modulate)  # two caches of one would clash
+    return inner, njit(error_model="numpy")(modulate)  # two caches of one would clash
 
 
 def _shortest(value: float) -> str:
