@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import importlib.util
+import inspect
 import re
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from types import ModuleType
-from typing import TypeVar
+from types import FunctionType, ModuleType
+from typing import Any, TypeVar
 
 from hebbviz.learner import TaskError
 from hebbviz.rules import Rule, make_rule, register
 from hebbviz.switches import UnknownPreset
-from hebbviz.task import Task
+from hebbviz.task import Input, Output, Preset, Task
 from sims import task_class
 
 T = TypeVar("T")
+
+_NEEDED = ("restart", "transition", "observation", "reward")
+"""Methods that a task has to have."""
 
 
 def make_task(name: str, preset: str | None = None) -> Task:
@@ -55,6 +60,10 @@ def _make(cls: type[Task], name: str, preset: str | None) -> Task:
             raise ValueError(
                 f"task {name}: the class must set {attribute!r}, see hebbviz.task.Task"
             )
+    _check_all(f"task {name}: outputs", cls.outputs, Output)
+    if not isinstance(cls.presets, Mapping):
+        raise ValueError(f"task {name}: presets must be a dict of Preset, got {cls.presets!r:.60}")
+    _check_all(f"task {name}: the values of presets", tuple(cls.presets.values()), Preset)
     try:
         task = cls(preset)
     except UnknownPreset:
@@ -63,7 +72,37 @@ def _make(cls: type[Task], name: str, preset: str | None) -> Task:
         raise _failed(f"task {name}", error) from error
     if getattr(task, "inputs", None) is None:
         raise ValueError(f"task {name}: the class must set 'inputs', see hebbviz.task.Task")
+    _check_all(f"task {name}: inputs", task.inputs, Input)
+    _check_methods(f"task {name}", task)
     return task
+
+
+def _check_all(what: str, found: Any, kind: type) -> None:
+    """Raise ValueError unless these are a tuple of one kind, or a list."""
+    if not isinstance(found, (tuple, list)) or not all(isinstance(f, kind) for f in found):
+        raise ValueError(
+            f"{what} must be a tuple of {kind.__name__}, with a comma where it has but one, got "
+            f"{found!r:.60}"
+        )
+
+
+def _check_methods(what: str, task: Task) -> None:
+    """Raise ValueError for a method that is not there, or that cannot take what it is given."""
+    for name, plain in vars(Task).items():
+        if not isinstance(plain, FunctionType) or name.startswith("_"):
+            continue
+        own = getattr(task, name)
+        if getattr(own, "__func__", None) is plain:
+            if name in _NEEDED:
+                raise ValueError(f"{what}: the class has no method {name!r}, see hebbviz.task.Task")
+            continue
+        _, *given = inspect.signature(plain).parameters
+        try:
+            inspect.signature(own).bind(*given)
+        except TypeError as error:
+            raise ValueError(
+                f"{what}: {name} must take ({', '.join(['self', *given])}): {error}"
+            ) from error
 
 
 def _class_from_file(spec: str, base: type[T]) -> type[T]:
@@ -76,8 +115,16 @@ def _class_from_file(spec: str, base: type[T]) -> type[T]:
     found = getattr(module, class_name, None)
     if not isinstance(found, type) or not issubclass(found, base):
         made_from = f"{base.__module__}.{base.__name__}"
-        raise ValueError(f"{what}: {file} has no class {class_name} made from {made_from}")
+        others = [c for c in vars(module).values() if _is_own(c, base, module)]
+        has = f"; it has {', '.join(c.__name__ for c in others)}" if others else ""
+        raise ValueError(f"{what}: {file} has no class {class_name} made from {made_from}{has}")
     return found
+
+
+def _is_own(found: object, base: type, module: ModuleType) -> bool:
+    """Whether this is a class made from `base` in that module."""
+    is_made_from = isinstance(found, type) and issubclass(found, base)
+    return is_made_from and found.__module__ == module.__name__
 
 
 def _run_file(path: Path, what: str) -> ModuleType:

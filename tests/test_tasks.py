@@ -1,5 +1,6 @@
 """Every task keeps to the contract, and what breaks it is told in a line and does no harm."""
 
+import re
 from pathlib import Path
 from typing import ClassVar
 
@@ -364,6 +365,53 @@ def test_a_restart_has_draws_of_its_own():
 
 
 GOOD_FILE = (Path(__file__).parent / "examples" / "lever.py").read_text()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ("def restart", "def begin", "the class has no method 'restart'"),
+        ("def transition", "def move", "the class has no method 'transition'"),
+        ("def observation", "def see", "the class has no method 'observation'"),
+        ("def reward", "def rewards", "the class has no method 'reward'"),
+        ("action, draws)", "action)", "transition must take (self, state, action, draws)"),
+        ("restart(self, draws)", "restart(self)", "restart must take (self, draws)"),
+        ("hidden = ()", "ended = lambda self: False", "ended must take (self, state)"),
+        ('(Input("lamp"),)', 'Input("lamp")', "inputs must be a tuple of Input, with a comma"),
+        ('(Input("lamp"),)', '("lamp",)', "inputs must be a tuple of Input"),
+        ('silent="let go"),)', 'silent="let go"))', "outputs must be a tuple of Output"),
+        ('{"quick": ', '(', "presets must be a dict"),
+        ('{"quick": Preset', '{"quick": dict', "the values of presets must be a tuple of Preset"),
+        ("class Lever", "class Levr", "no class Lever made from hebbviz.task.Task; it has Levr"),
+    ],
+)  # fmt: skip
+def test_a_file_that_cannot_work_is_refused_when_it_is_loaded(tmp_path, old, new, what):
+    assert GOOD_FILE.count(old) == 1
+    text = GOOD_FILE.replace(old, new)
+    text = text.replace('not in the paper")}', 'not in the paper"),)') if new == "(" else text
+    path = tmp_path / "mine.py"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=f"^task [^\n]*{re.escape(what)}[^\n]*$"):
+        make_task(f"{path}:Lever")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ("return state[1]", "return np.nan", "a reward, nan, is not a finite number"),
+        ("return state[1]", "return 'one'", "reward must return a number, got 'one'"),
+        ("return state[1]", "return state", "reward must return a number, got array"),
+        ("return state[1]", "return None", "reward must return a number, got None"),
+        ("return state[:1]", "return 1 / (1 - state[1:])", "an observation, inf of input 0"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("lanes", [1, 3])
+def test_what_a_task_says_amiss_is_told_with_its_name(tmp_path, old, new, what, lanes):
+    path = tmp_path / "mine.py"
+    path.write_text(GOOD_FILE.replace(old, new))
+    learner = Learner(make_task(f"{path}:Lever"), lanes=lanes)
+    with np.errstate(all="ignore"), pytest.raises(TaskError, match=re.escape(what)):
+        learner.advance(50)
 
 
 @pytest.mark.parametrize(
