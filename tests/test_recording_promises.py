@@ -295,7 +295,7 @@ def test_a_file_that_is_cut_is_read_up_to_its_last_whole_piece(
     assert len(opened) > 40
     assert found[-len(opened) :] == opened, "of a longer piece less can be read"
     for why in found[: -len(opened)]:
-        assert re.search("another program|before its first keyframe", str(why))
+        assert re.search("cut before the piece that says|before its first keyframe", str(why))
     for end, part in zip(ends[-len(opened) :], opened, strict=True):
         assert part.notice
         assert is_a_beginning_of(part, whole), end
@@ -362,7 +362,7 @@ NO_RECORDINGS = {
     "garbage": "it is no rerun file",
     "text": "it is no rerun file",
     "learner": "it is no rerun file",
-    "beginning": "another program",
+    "beginning": "it was cut before the piece that says what it is",
     "folder": "is a directory",
     "missing": "no such file",
     "other": "it is a recording of another program, not of hebbviz",

@@ -33,10 +33,13 @@ Fields = dict[int, int | bytes]
 
 @dataclass(frozen=True)
 class Extent:
-    """How far a file is whole: bytes of whole messages, and whether a part of it is missing."""
+    """How far a file is whole: bytes of whole messages, whether a part of one is missing, and
+    whether the message that ends a file is there.
+    """
 
     size: int
     is_cut: bool
+    has_end: bool
 
 
 def extent(path: Path) -> Extent:
@@ -48,7 +51,7 @@ def extent(path: Path) -> Extent:
         at, kind = _FILE_HEADER, -1
         while kind != _END and (message := _message(file, at, total)) is not None:
             kind, at = message
-    return Extent(at, is_cut=kind != _END and at < total)
+    return Extent(at, is_cut=kind != _END and at < total, has_end=kind == _END)
 
 
 def batches(path: Path, size: int) -> Iterator[tuple[str, ipc.RecordBatchStreamReader]]:

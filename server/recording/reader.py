@@ -114,7 +114,7 @@ def _open(path: Path) -> Recording:
     except ValueError as error:
         raise BadRecording(f"{error}: name a .rrd file that hebbviz recorded") from error
     tables = read(path, extent.size, SKELETON)
-    header = _header(tables.get(RUN))
+    header = _header(tables.get(RUN), may_follow=not extent.has_end)
     moments = _moments(tables.get(KEYFRAMES))
     if not moments:
         raise BadRecording("it was broken off before its first keyframe")
@@ -131,7 +131,13 @@ def _open(path: Path) -> Recording:
     )  # fmt: skip
 
 
-def _header(table: Table | None) -> Header:
+def _header(table: Table | None, *, may_follow: bool) -> Header:
+    """`may_follow`: the file has no end, so that a header may have come after what there is."""
+    if table is None and may_follow:
+        raise BadRecording(
+            "it was cut before the piece that says what it is: nothing of it can be read, get the "
+            "whole file again"
+        )
     if table is None or "header" not in table.columns:
         raise BadRecording("it is a recording of another program, not of hebbviz")
     return Header.from_json(table.columns["header"][0])
