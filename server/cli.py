@@ -269,7 +269,7 @@ def _run(
     try:
         return train(steps, args.steps, stop=interrupts.stop, bar=bar)
     except TaskError as error:
-        saved = _save(args, learner) or "mend the task and run it again"
+        saved = _save(args, learner) or "mend it and run it again"
         what = f"{error}{place(args, error)}"
         raise InputError(f"{what}, at step {learner.step:,}; {saved}") from error
 

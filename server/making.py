@@ -42,7 +42,7 @@ def make_learner(args: argparse.Namespace) -> Learner:
         rule = make_rule(task.preset.rule)
     return Learner(
         task, hidden=args.hidden, beta=args.beta, gamma=args.gamma, rule=rule, fall=args.fall,
-        seed=args.seed or 0, lanes=max(getattr(args, "lanes", None) or 1, rule.least_lanes),
+        seed=args.seed or 0, lanes=getattr(args, "lanes", None) or rule.least_lanes,
     )  # fmt: skip
 
 

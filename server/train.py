@@ -228,6 +228,7 @@ def figures_of(learner: Learner, training: Training, task_name: str) -> Figures:
         "task": task_name,
         "preset": learner.task.preset_name,
         "network": learner.topology.describe(),
+        "lanes": learner.lanes,
         "beta": learner.beta,
         "gamma": learner.gamma,
         "rule": str(learner.rule),
@@ -249,7 +250,8 @@ def describe(figures: Figures, own: Figures) -> str:
     """Both, to be read."""
     lines = [
         f"{figures['task']} {figures['preset']}, {figures['network']}, seed {figures['seed']}, "
-        f"β {figures['beta']:.6g}, γ {figures['gamma']:.3g}"
+        + ("" if figures["lanes"] == 1 else f"the first of {figures['lanes']} lanes, ")
+        + f"β {figures['beta']:.6g}, γ {figures['gamma']:.3g}"
         + ("" if figures["fall"] is None else f" falling over {figures['fall']:.6g} steps")
         + ("" if figures["rule"] == PAPER.name else f", rule {figures['rule']}")
         + (", learning frozen" if figures["frozen"] else ""),

@@ -105,11 +105,47 @@ class Prints(Pole):
 '''
 
 
+RULES = """
+from dataclasses import dataclass
+from hebbviz.rules import Rule
+from hebbviz.task import Reading
+
+
+@dataclass(frozen=True)
+class Typo(Rule):
+    name = "typo"
+
+    @staticmethod
+    def modulat(memory, constants, reward, ended, sent):
+        sent[:] = reward
+
+
+class Beyond(Typo):
+    name = "beyond"
+
+    @staticmethod
+    def modulate(memory, constants, reward, ended, sent):
+        sent[5] = 1.0
+
+
+class Late(Typo):
+    name = "late"
+    memory = (Reading("steps"),)
+
+    @staticmethod
+    def modulate(memory, constants, reward, ended, sent):
+        for lane in range(len(reward)):
+            memory[0, lane] += 1.0
+            sent[lane] = 1.0 / (50.0 - memory[0, lane])
+"""
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """User's files, saved learners, and files that are none."""
     path = tmp_path_factory.mktemp("cli")
     (path / "mine.py").write_text(POLE)
+    (path / "rules.py").write_text(RULES)
     (path / "broken.py").write_text("def f(:\n")
     (path / "raises.py").write_text("x = 1\n\n1 / 0\n")
     (path / "exits.py").write_text("import sys\nsys.exit(0)\n")
@@ -151,6 +187,11 @@ BAD: dict[str, str] = {
     "--rule baseline:time=0": "rule baseline: time must be from 1 to 1e+12, got 0.0",
     "--rule baseline:tau=9": "rule baseline has no parameter 'tau'; it has time",
     "--rule nowhere.py:Mine": "rule nowhere.py:Mine: there is no file nowhere.py",
+    "--rule {0}/rules.py:Typo": "rule typo: the class has no method 'modulate'",
+    "--rule {0}/rules.py:Beyond": "index 5 is out of bounds for axis 0 with size 1 (rules.py, line 21)",
+    "train --steps 99 --rule {0}/rules.py:Late --save {0}/late": "rule late sent what is not a finite",
+    "--rule yoked --lanes 1": "rule yoked needs 2 lanes or more, this learner has 1",
+    "train --steps 9 --load {0}/pole --rule yoked": "rule yoked needs 2 lanes or more",
     "--fall 0": "fall (the steps over which gamma falls) must be from 1",
     "--fall soon": "fall must be a number of steps or never, got 'soon'",
     "train --steps 5 --task sonar --rule yoked --record {}/yoked.rrd": "a recording holds one lane",
@@ -362,6 +403,16 @@ def test_train_for_the_eye(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert out.startswith("pendulum quick, 8-3-2-2, seed 0, β 0.98, γ 0.01\n1,000 steps in ")
     assert "mean time to fall s: " in out
     assert out.endswith(f"saved in {tmp_path / 'x.npz'}\n")
+
+
+def test_a_rule_gets_the_lanes_that_it_needs_and_they_are_told(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    given = "--task", "sonar", "--rule", "yoked", "--steps", 10
+    assert trained(capsys, *given)["lanes"] == 2
+    code, out, _ = run("train", *given, capsys=capsys)
+    assert code == 0
+    assert out.startswith("sonar quick, 60-8-1, seed 0, the first of 2 lanes, ")
 
 
 @pytest.mark.parametrize("task", ["pendulum", "sonar", "own"])
