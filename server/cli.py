@@ -32,6 +32,7 @@ from server.terminal import (
     check_writable,
     fail,
     place,
+    prints_aside,
     say,
     tell,
     user_can_mend,
@@ -160,7 +161,7 @@ def inspect(args: argparse.Namespace) -> int:
     from server.recording.inspect import describe, figures
     from server.recording.reader import open_recording
 
-    with user_can_mend(args):
+    with user_can_mend(args), prints_aside():
         asked_rule(args)
         recording = open_recording(args.file)
     found = figures(recording)
@@ -173,7 +174,7 @@ def export(args: argparse.Namespace) -> int:
     from server.recording.export import export_steps, export_timelines
     from server.recording.reader import open_recording
 
-    with user_can_mend(args):
+    with user_can_mend(args), prints_aside():
         asked_rule(args)
         recording = open_recording(args.file)
         if recording.notice:
@@ -226,13 +227,13 @@ def train(args: argparse.Namespace) -> int:
 
     with Interrupts() as interrupts:
         try:
-            with user_can_mend(args):
+            with user_can_mend(args), prints_aside():
                 _check_save(args.save)
                 learner, recorded = interrupts.prepare(prepare)
         except KeyboardInterrupt:
             tell("stopped before the training began")
             _leave(128 + (interrupts.number or signal.SIGINT))
-        with recorded:
+        with prints_aside(), recorded:
             training = _run(args, learner, recorded, interrupts, bar=is_watched)
         if training.finished:
             code = _report(args, learner, training)
@@ -282,7 +283,7 @@ def _report(args: argparse.Namespace, learner: Learner, training: Training) -> i
         saved = _save(args, learner)
     except OSError as error:  # the figures are worth having all the same
         saved, failure = None, f"cannot save to {args.save}: {error.strerror or error}"
-    with user_can_mend(args):
+    with user_can_mend(args), prints_aside():
         own = own_figures(learner, training)
     figures = figures_of(learner, training, task_name(args, learner))
     if args.json:
@@ -351,7 +352,7 @@ def _experiment(
     kept = f"the same command goes on from what is kept in {args.out}"
     with Interrupts() as interrupts:
         try:
-            with user_can_mend(args):
+            with user_can_mend(args), prints_aside():
                 made = work(interrupts.stop)
         except WorkersFailed as error:
             return fail(FAILED, f"{error}; {kept}")

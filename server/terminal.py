@@ -13,7 +13,7 @@ import tempfile
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 FINE, FAILED, BAD_INPUT = 0, 1, 2
 LONGEST_LINE = 600
@@ -135,6 +135,11 @@ def tell(message: str) -> None:
     line = "".join(c if c.isprintable() else "?" for c in line)
     sys.stderr.write(f"hebbviz: {line[:LONGEST_LINE]}\n")
     sys.stderr.flush()
+
+
+def prints_aside() -> contextlib.redirect_stdout[TextIO]:
+    """What a user's task or rule prints in here goes to stderr: stdout is for the figures."""
+    return contextlib.redirect_stdout(sys.stderr)
 
 
 def say(line: str) -> None:

@@ -10,6 +10,7 @@ import logging
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 import traceback
@@ -143,7 +144,8 @@ def _end_processes(executor: ProcessPoolExecutor) -> None:
 
 
 def _begin_process() -> None:
-    """End with the program that began this process, however it ends."""
+    """End with the program that began this process, however it ends, whose stdout is not ours."""
+    sys.stdout = sys.stderr
     parent = multiprocessing.parent_process()
     assert parent is not None
 
