@@ -209,8 +209,11 @@ def parse_hidden(text: str) -> tuple[int, ...]:
     """
     if text.strip().lower() == "none":
         return ()
-    if not re.fullmatch(r"\d{1,5}(,\d{1,5}){0,7}", text.strip()):
-        raise ValueError(f"hidden must be sizes such as 16 or 8,8, or none, got {text!r}")
+    if not re.fullmatch(r"\d{1,9}(,\d{1,9}){0,7}", text.strip()):
+        raise ValueError(
+            f"hidden must be sizes such as 16 or 8,8 (at most 8, from 1 to {LARGEST_GROUP} each), "
+            f"or none, got {text!r}"
+        )
     return tuple(int(part) for part in text.split(","))
 
 

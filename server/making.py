@@ -37,7 +37,7 @@ def make_learner(args: argparse.Namespace) -> Learner:
     rule = asked_rule(args)
     if args.load is not None:
         return _loaded(args, rule)
-    task = make_task(args.task or DEFAULT_TASK, args.preset)
+    task = make_task(DEFAULT_TASK if args.task is None else args.task, args.preset)
     if rule is None:
         rule = make_rule(task.preset.rule)
     return Learner(
@@ -67,7 +67,7 @@ def _loaded(args: argparse.Namespace, rule: Rule | None) -> Learner:
     if args.hidden is not None and learner.task.topology(args.hidden) != learner.topology:
         sizes = ",".join(str(n) for n in args.hidden) or "none"
         raise _contradiction(
-            f"--load {args.load}", "--hidden", sizes, f"a {learner.topology.describe()} network"
+            f"--load {args.load}", "--hidden", sizes, f"the network {learner.topology.describe()}"
         )
     if args.beta is not None:
         learner.set_beta(args.beta)
@@ -119,9 +119,9 @@ def _contradiction(file: str | Path, option: str, given: object, saved: object) 
     )
 
 
-def _saved_file(name: str) -> Path:
+def _saved_file(path: Path) -> Path:
     """The file that --save with this name wrote: .npz is added if missing."""
-    path, with_suffix = Path(name), Path(f"{name}.npz")
+    with_suffix = Path(f"{path}.npz")
     return with_suffix if with_suffix.is_file() and not path.is_file() else path
 
 

@@ -29,6 +29,13 @@ EPILOG = "The rule, the presets and how to write a task of your own are in the R
 
 
 class _Parser(argparse.ArgumentParser):
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """What is unknown to a command is told by the command, with its own help."""
+        found, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return found, unknown
+
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message}; see {self.prog} --help")
 
@@ -147,8 +154,9 @@ def _add_learner(parser: argparse.ArgumentParser) -> None:
         "--seed", type=_whole("seed", 0, 2**32 - 1), metavar="N", help="random seed (default 0)"
     )
     parser.add_argument(
-        "--load", metavar="FILE", help="go on with a saved learner, its task and its preset"
-    )
+        "--load", type=_path, metavar="FILE",
+        help="go on with a saved learner, its task and its preset",
+    )  # fmt: skip
 
 
 def _add_task(parser: argparse.ArgumentParser) -> None:
@@ -177,6 +185,12 @@ def _whole(name: str, least: int, most: int) -> Callable[[str], int]:
         )
 
     return parse
+
+
+def _path(text: str) -> Path:
+    if not text.strip():  # Path("") is the folder that one is in
+        raise argparse.ArgumentTypeError(f"a path must have a name, got {text!r}")
+    return Path(text)
 
 
 def _number(name: str) -> Callable[[str], float]:
@@ -280,7 +294,7 @@ def _add_export(commands: Any) -> None:
     _add_own_task(export)
     _add_own_rule(export)
     export.add_argument(
-        "--out", type=Path, required=True, metavar="FOLDER", help="folder to write into"
+        "--out", type=_path, required=True, metavar="FOLDER", help="folder to write into"
     )
     export.add_argument(
         "--every-step", type=_steps, metavar="FROM:TO",
@@ -305,7 +319,7 @@ def _add_figure(commands: Any) -> None:
         help="; ".join(f"{name}: {kind.shows}" for name, kind in KINDS.items()),
     )  # fmt: skip
     figure.add_argument(
-        "--out", type=Path, required=True, metavar="FOLDER", help="folder to write into"
+        "--out", type=_path, required=True, metavar="FOLDER", help="folder to write into"
     )
     figure.add_argument(
         "--task", metavar="T", help="for learning: a task by name, or your own as path.py:Name"
@@ -343,7 +357,7 @@ def _add_sweep(commands: Any) -> None:
         allow_abbrev=False,
     )
     sweep.add_argument(
-        "--out", type=Path, default=Path("sweep"), metavar="FOLDER",
+        "--out", type=_path, default=Path("sweep"), metavar="FOLDER",
         help="folder to write into (default %(default)s)",
     )  # fmt: skip
     _add_task(sweep)
@@ -422,7 +436,7 @@ def _add_bench(commands: Any) -> None:
 
 
 def _add_recorded(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", type=Path, metavar="FILE", help="a recording (.rrd)")
+    parser.add_argument("file", type=_path, metavar="FILE", help="a recording (.rrd)")
 
 
 def _add_own_task(parser: argparse.ArgumentParser) -> None:
@@ -449,7 +463,7 @@ def _add_page(parser: argparse.ArgumentParser) -> None:
         help="port to listen on, 0 for any (default 8080, or the next free one)",
     )  # fmt: skip
     parser.add_argument(
-        "--recordings", type=Path, default=Path("hebbviz-recordings"), metavar="FOLDER",
+        "--recordings", type=_path, default=Path("hebbviz-recordings"), metavar="FOLDER",
         help="folder for recordings that are begun on the page (default %(default)s)",
     )  # fmt: skip
     parser.add_argument("--no-browser", action="store_true", help="open no browser")
@@ -457,7 +471,7 @@ def _add_page(parser: argparse.ArgumentParser) -> None:
 
 def _add_recording(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--record", type=Path, metavar="FILE",
+        "--record", type=_path, metavar="FILE",
         help="record into a new file (.rrd): for replay, view, inspect and export",
     )  # fmt: skip
     parser.add_argument(

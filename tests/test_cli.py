@@ -188,8 +188,8 @@ BAD: dict[str, str] = {
     "--rule baseline:tau=9": "rule baseline has no parameter 'tau'; it has time",
     "--rule nowhere.py:Mine": "rule nowhere.py:Mine: there is no file nowhere.py",
     "--rule {0}/rules.py:Typo": "rule typo: the class has no method 'modulate'",
-    "--rule {0}/rules.py:Beyond": "index 5 is out of bounds for axis 0 with size 1 (rules.py, line 21)",
-    "train --steps 99 --rule {0}/rules.py:Late --save {0}/late": "rule late sent what is not a finite",
+    "--rule {0}/rules.py:Beyond": "out of bounds for axis 0 with size 1 (rules.py, line 21)",
+    "train --steps 99 --rule {0}/rules.py:Late": "rule late sent what is not a finite number",
     "--rule yoked --lanes 1": "rule yoked needs 2 lanes or more, this learner has 1",
     "train --steps 9 --load {0}/pole --rule yoked": "rule yoked needs 2 lanes or more",
     "--fall 0": "fall (the steps over which gamma falls) must be from 1",
@@ -203,6 +203,8 @@ BAD: dict[str, str] = {
     "--lanes 1e2": "lanes must be",
     "--lanes 257": "lanes must be",
     "--hidden 8x": "hidden must be sizes such as 16 or 8,8",
+    "--hidden 100000000": "must have 1 to 4096 units, got 100000000",
+    "--hidden 1,2,3,4,5,6,7,8,9": "(at most 8, from 1 to 4096 each)",
     "--hidden 0": "must have 1 to 4096 units, got 0",
     "--hidden 4096,4096": "at most 4000000 synapses",
     "--speed fast": "speed must be steps per second above 0, realtime or max, got 'fast'",
@@ -211,6 +213,15 @@ BAD: dict[str, str] = {
     "--speed realtime --task sonar": "needs a task with a time step",
     "--port 65536": "port must be a whole number from 0 to 65535",
     "--port http": "port must be",
+    "--recordings=": "a path must have a name, got ''; see hebbviz serve --help",
+    "--load=": "a path must have a name",
+    "--task=": "there is no task ''",
+    "inspect ": "a path must have a name",
+    "export run.rrd --out=": "a path must have a name",
+    "figure sonar --out=": "a path must have a name",
+    "figure sonar --out={0}/out --rule R": "arguments: --rule R; see hebbviz figure --help",
+    "train --steps 9 --record=": "a path must have a name",
+    "train --steps 9 --save=": "--save must name a file, got ''",
     "--host 192.0.2.1 --port 0": "can't listen on 192.0.2.1:0",
     "--host no.such.host.invalid": "can't listen on no.such.host.invalid",
     "--host=": "host must be a name or an address",
@@ -484,6 +495,25 @@ def test_a_task_that_breaks_in_training_loses_nothing(
     assert err.endswith(f"at step 100; saved in {tmp_path / 'x.npz'}\n")
     saved = files.load(tmp_path / "x.npz", lambda _, preset: make_task(task, preset))
     assert saved.step == 100
+
+
+@pytest.mark.parametrize(
+    "command", ["train --steps 50 --json", "figure learning --steps 50 --lanes 2 --out {}/out"]
+)
+def test_what_a_users_task_prints_is_not_among_the_figures(
+    command: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Nor what it prints in the processes that do the work of a figure."""
+    prints = "        print('state', state)\n"
+    head, at, tail = POLE.partition("    def reward(self, state):\n")
+    (tmp_path / "talks.py").write_text(f"print('here')\n{head}{at}{prints}{tail}")
+    task = f"{tmp_path}/talks.py:Pole"
+    assert main([*command.format(tmp_path).split(), "--task", task]) == 0
+    out, err = capfd.readouterr()
+    assert out.count("\n") == 1
+    assert json.loads(out)["preset"] == "easy"
+    assert "here\n" in err
+    assert "state [" in err
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

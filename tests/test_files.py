@@ -339,7 +339,9 @@ def test_a_users_task_that_fails_while_loading_is_told(tmp_path):
         "class Mine(Task):\n    name = 'mine'\n    inputs = (Input('i'),)\n"
         "    outputs = (Output('o', '1', '0'),)\n    presets = {'a': Preset(0.5, 0.1, 'n')}\n"
         "    def restart(self, draws): return np.zeros(1)\n"
+        "    def transition(self, state, action, draws): return state\n"
         "    def observation(self, state): return state\n"
+        "    def reward(self, state): return 0.0\n"
     )
     mine.write_text(source)
     spec = f"{mine}:Mine"
@@ -348,6 +350,7 @@ def test_a_users_task_that_fails_while_loading_is_told(tmp_path):
     mine.write_text(source.replace("np.zeros(1)", "1 / 0"))
     with pytest.raises(TaskError, match="ZeroDivisionError"):
         load(path, make_task)
-    mine.write_text(source.replace("np.zeros(1)", "np.zeros(2)").replace("n state", "n state[:1]"))
+    two = source.replace("np.zeros(1)", "np.zeros(2)")
+    mine.write_text(two.replace("(self, state): return state", "(self, state): return state[:1]"))
     with pytest.raises(BadFile, match="has a world of shape"):
         load(path, make_task)
