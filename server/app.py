@@ -156,7 +156,8 @@ class Site:
         self._server.stop()
         if self._worker is not None:
             self._worker.join(SHUTDOWN_SECONDS)
-            _say(f"stopped at step {self._run.learner.step:,}")
+            error = self._worker.latest and self._worker.latest.error
+            _say(f"stopped at step {self._run.learner.step:,}{f', for {error}' if error else ''}")
         if self._recordings is not None:
             self._end_recordings(self._recordings)
 

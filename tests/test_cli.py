@@ -654,6 +654,26 @@ def test_all_else_is_not_loopback(host: str) -> None:
     assert not app.is_loopback(host)
 
 
+def test_the_terminal_tells_why_a_task_stopped_under_the_page(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stop, learner = threading.Event(), Learner(make_task(f"{folder}/mine.py:Breaks"))
+
+    def stop_late() -> None:
+        try:
+            wait_until(lambda: learner.step == 100, PATIENCE)
+            time.sleep(1.0)
+        finally:
+            stop.set()
+
+    stopper = threading.Thread(target=stop_late)
+    stopper.start()
+    serve(learner, port=0, speed="max", stop=stop)
+    stopper.join()
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith("stopped at step 100, for task 'breaks' failed: KeyError: ")
+
+
 def test_serve_checks_what_it_is_given() -> None:
     with pytest.raises(ValueError, match="time step"):
         serve(Learner(make_task("sonar")), speed="realtime")
