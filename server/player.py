@@ -35,7 +35,10 @@ class Check(enum.Enum):
     OWN = "made again in the program that made it"
     PENDING = "made again; being compared with the next keyframe"
     GOOD = "made again, and compared with the next keyframe: the same to the bit"
-    DIFFERS = "this machine computes otherwise than the one that recorded: what was stored is shown"
+    DIFFERS = (
+        "made again it comes out otherwise, for another type of machine, version or file of the "
+        "task: what was stored is shown"
+    )
 
 
 class Player:

@@ -17,6 +17,7 @@ import pytest
 
 from hebbviz.learner import Learner
 from server.cli import main
+from server.recording import header
 from sims.loading import make_task
 
 HEBBVIZ = [sys.executable, "-m", "server.cli"]
@@ -87,6 +88,31 @@ def test_a_task_of_the_users_own_is_run_only_if_it_is_named(
         assert main([command, str(folder / "lever.rrd"), *options, "--task", LEVER]) == 0
     assert main([command, str(folder / "lever.rrd"), *options, "--task", "sonar"]) == 2
     assert main([command, str(folder / "pole.rrd"), *options, "--task", "sonar"]) == 2
+
+
+def test_what_is_another_than_when_it_was_recorded_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The task's file where nothing else is: it was edited after the recording."""
+    text = Path(LEVER.rpartition(":")[0]).read_text()
+    (tmp_path / "mine.py").write_text(text)
+    task = ["--task", f"{tmp_path / 'mine.py'}:Lever"]
+    record(tmp_path / "run.rrd", *task)
+    command = ["export", str(tmp_path / "run.rrd"), *task, "--out", str(tmp_path / "out")]
+    command += ["--every-step", "1:5"]
+    assert main(command) == 0
+    (tmp_path / "mine.py").write_text(text.replace("return state[1]", "return 2 * state[1]"))
+    capsys.readouterr()
+    for name, value, told in (
+        (None, None, "the file of its task or of its rule must be another one"),
+        ("versions", dict, "it was recorded with hebbviz "),
+        ("machine", lambda: "Plan9 vax", "this is Plan9 vax"),
+    ):
+        if name is not None:
+            monkeypatch.setattr(header, name, value)
+        assert main(command) == 2
+        said = capsys.readouterr().err
+        assert told in said and said.count("\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -63,8 +63,8 @@ def export_steps(
     """Make the steps from `first` on and before `end` again, and write all of each.
 
     What stands at step n is what was so after the n-th step. Raises ValueError if the recording
-    does not hold these steps or they are too many, BadRecording if this machine does not make the
-    recorded run again.
+    does not hold these steps or they are too many, BadRecording if the recorded run does
+    not come out the same again.
     """
     header = recording.header
     low = header.step + 1
@@ -92,8 +92,8 @@ def export_steps(
         check.go_to(following.step)
         if check.moment().keyframe.digest() != following.keyframe.digest():
             raise BadRecording(
-                f"this machine ({recording.header.machine} recorded it) does not make the same "
-                "run again: leave --every-step out, for what was stored"
+                f"the run does not come out the same again: {header.other_now}; leave "
+                "--every-step out, for what was stored"
             )
     columns: Columns = {
         "step": np.arange(first, end),

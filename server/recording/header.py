@@ -87,6 +87,19 @@ class Header:
         }
         return json.dumps(said)
 
+    @property
+    def other_now(self) -> str:
+        """What is another here than where it was recorded, so that the run may not come out the
+        same again: the type of machine, else versions, else what alone is left.
+        """
+        if machine() != self.machine:
+            return f"it was recorded on {self.machine}, this is {machine()}"
+        old, now = self.versions, versions()
+        changed = [f"{n} {old[n]}, now {now.get(n)}" for n in old if old[n] != now.get(n)]
+        if changed:
+            return f"it was recorded with {'; '.join(changed)}"
+        return "the file of its task or of its rule must be another one than when it was recorded"
+
     @classmethod
     def from_json(cls, text: str) -> Header:
         """Raises BadRecording for another program's or a newer one, ValueError for nonsense."""
