@@ -21,7 +21,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from server.making import asked_rule, make_learner, saved_task, task_name
+from server.making import asked_rule, make_learner, saved_file, saved_task, task_name
 from server.options import parse
 from server.terminal import (
     BAD_INPUT,
@@ -204,10 +204,10 @@ def bench(args: argparse.Namespace) -> int:
 def _recording(args: argparse.Namespace) -> Options:
     from server.recording.recordings import Options
 
+    given = {name: getattr(args, name) for name in ("budget", "detail") if getattr(args, name)}
     return Options(
-        file=args.record, budget=args.budget, detail=args.detail,
-        stream=getattr(args, "stream", None),
-        folder=getattr(args, "recordings", Options.folder),
+        file=args.record, stream=getattr(args, "stream", None),
+        folder=getattr(args, "recordings", Options.folder), **given,
     )  # fmt: skip
 
 
@@ -228,7 +228,8 @@ def train(args: argparse.Namespace) -> int:
     with Interrupts() as interrupts:
         try:
             with user_can_mend(args), prints_aside():
-                _check_save(args.save)
+                _check_save(args)
+                _check_recording(args)
                 learner, recorded = interrupts.prepare(prepare)
         except KeyboardInterrupt:
             tell("stopped before the training began")
@@ -296,14 +297,30 @@ def _report(args: argparse.Namespace, learner: Learner, training: Training) -> i
 # Saving
 
 
-def _check_save(name: str | None) -> None:
+def _check_save(args: argparse.Namespace) -> None:
     """Find out before the training whether its result can be saved."""
+    name: str | None = args.save
     if name is None:
         return
     target = Path(name if name.endswith(".npz") else f"{name}.npz")
     if not name or target.is_dir():
         raise InputError(f"--save must name a file, got {name!r}")
+    is_loaded = args.load is not None and saved_file(args.load).resolve() == target.resolve()
+    if target.exists() and not is_loaded:
+        raise InputError(
+            f"{target} exists already and is not written over: name another file for --save, or "
+            f"go on with it by --load {name}"
+        )
     check_writable(target.parent)
+
+
+def _check_recording(args: argparse.Namespace) -> None:
+    """How to record says nothing where nothing is recorded."""
+    for option in ("budget", "detail"):
+        if args.record is None and getattr(args, option):
+            raise InputError(
+                f"--{option} is for a recording: name its file with --record, or leave it out"
+            )
 
 
 def _save(args: argparse.Namespace, learner: Learner) -> str | None:

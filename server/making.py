@@ -57,7 +57,7 @@ def _loaded(args: argparse.Namespace, rule: Rule | None) -> Learner:
     from hebbviz import files
 
     learner = files.load(
-        _saved_file(args.load), lambda *saved: saved_task(args, f"--load {args.load}", *saved)
+        saved_file(args.load), lambda *saved: saved_task(args, f"--load {args.load}", *saved)
     )
     if args.seed not in (None, learner.seed):
         raise _contradiction(f"--load {args.load}", "--seed", args.seed, learner.seed)
@@ -119,7 +119,7 @@ def _contradiction(file: str | Path, option: str, given: object, saved: object) 
     )
 
 
-def _saved_file(path: Path) -> Path:
+def saved_file(path: Path) -> Path:
     """The file that --save with this name wrote: .npz is added if missing."""
     with_suffix = Path(f"{path}.npz")
     return with_suffix if with_suffix.is_file() and not path.is_file() else path

@@ -126,7 +126,10 @@ def _add_train(commands: Any) -> None:
     )  # fmt: skip
     _add_learner(train)
     _add_recording(train)
-    train.add_argument("--save", metavar="FILE", help="save the learner (.npz) for --load")
+    train.add_argument(
+        "--save", metavar="FILE",
+        help="save the learner (.npz) for --load; a file is written over only if it was loaded",
+    )  # fmt: skip
     train.add_argument("--json", action="store_true", help="print the figures as one line of JSON")
 
 
@@ -475,13 +478,14 @@ def _add_recording(parser: argparse.ArgumentParser) -> None:
         help="record into a new file (.rrd): for replay, view, inspect and export",
     )  # fmt: skip
     parser.add_argument(
-        "--budget", type=_budget, default="40MB", metavar="SIZE",
-        help="what recording may take in a minute, as 500kB or 1GB (default %(default)s): every "
+        "--budget", type=_budget, metavar="SIZE",
+        help="what recording may take in a minute, as 500kB or 1GB (default 40MB): every "
         "step is kept while that suffices, beyond it stretches of them at regular intervals",
     )  # fmt: skip
     parser.add_argument(
-        "--detail", choices=("full", "light"), default="full",
-        help="light: no single steps, only sums over all steps, keyframes and changes",
+        "--detail", choices=("full", "light"),
+        help="light: no single steps, only sums over all steps, keyframes and changes (default "
+        "full)",
     )  # fmt: skip
 
 

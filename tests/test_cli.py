@@ -235,6 +235,10 @@ BAD: dict[str, str] = {
     "train --steps 9 --task nope": "there is no task 'nope'",
     "train --steps 9 --save {0}/nowhere/x": "no such file or directory; choose another folder",
     "train --steps 9 --save {0}/a_folder": "--save must name a file",
+    "train --steps 9 --save {0}/pole": "pole.npz exists already and is not written over",
+    "train --steps 9 --load {0}/own --save {0}/pole": "is not written over: name another file for",
+    "train --steps 9 --budget 1MB": "--budget is for a recording: name its file with --record",
+    "train --steps 9 --detail light": "--detail is for a recording",
     "train --steps 9 --load {0}/absent": "cannot open {0}/absent: no such file",
     "train --steps 9 --load {0}": "is a directory",
     "train --steps 9 --load {0}/text.npz": "is not a learner saved by hebbviz",
@@ -448,6 +452,16 @@ def test_a_saved_learner_goes_on_as_one_long_run(
     np.testing.assert_array_equal(a.network, b.network)
     np.testing.assert_array_equal(a.world, b.world)
     assert np.ptp(a.weights) > 0
+
+
+def test_a_learner_that_was_loaded_is_saved_in_the_same_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved = tmp_path / "my.npz"
+    trained(capsys, "--task", "sonar", "--steps", 50, "--save", saved)
+    for name in (saved, tmp_path / "my"):
+        trained(capsys, "--load", name, "--steps", 50, "--save", saved)
+    assert files.load(saved, make_task).step == 150
 
 
 def test_load_takes_new_parameters_and_repeated_ones(
