@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from raw_client import wait_until
 
-from hebbviz import files
 from hebbviz.learner import Learner
 from server.cli import main
 from server.experiments import workers
+from server.making import make_learner
 from server.options import parse
 from server.sweep.command import make
 from server.sweep.grid import Sweep, parse_betas, parse_gammas
@@ -86,7 +86,9 @@ def test_asked_for_nothing_it_maps_the_default_task_into_a_folder_of_its_own(
     assert main(["sweep", "--lanes", "1", "--steps", "50"]) == 0
     says = json.loads(capsys.readouterr().out)
     assert (says["task"], says["preset"], len(says["points"])) == ("pendulum", "quick", 1)
-    assert says["files"] == [str(Path("sweep", f"sweep.{kind}")) for kind in ("png", "svg", "csv")]
+    assert says["files"] == [
+        str(Path("sweep", f"sweep-pendulum.{kind}")) for kind in ("png", "svg", "csv")
+    ]
     assert all((tmp_path / file).is_file() for file in says["files"])
 
 
@@ -124,25 +126,26 @@ def test_a_point_is_what_learners_alone_do(made):
 def test_a_point_can_be_opened(made):
     """The median lane as it was at the end, and the run from its start."""
     _, says = made
-    point = says["points"][4]
-    words = shlex.split(point["open"])
-    learner = files.load(words[words.index("--load") + 1], make_task)
+    point = next(p for p in says["points"] if p["lane"] > 0)  # which a seed alone does not open
+    end, start = (make_learner(parse(shlex.split(point[o])[1:])) for o in ("open", "open_start"))
     alone = Learner(
-        make_task("sonar"), hidden=(3,), beta=0.5, gamma=0.01, seed=4, first_lane=point["lane"]
-    )
-    alone.skip(30_000)
-    assert learner.keyframe().digest() == alone.keyframe().digest()
-    args = parse(shlex.split(point["open_start"])[1:])
-    assert (args.task, args.preset, args.hidden, args.beta, args.gamma, args.seed) == (
-        "sonar", "quick", (3,), 0.5, 0.01, 4,
+        make_task("sonar"), hidden=(3,), beta=point["beta"], gamma=point["gamma"], seed=4,
+        first_lane=point["lane"],
     )  # fmt: skip
+    for learner in (start, end):
+        assert learner.first_lane == point["lane"]
+        alone.skip(learner.step - alone.step)
+        assert learner.keyframe().digest() == alone.keyframe().digest()
+    assert (start.step, end.step) == (0, 30_000)
     assert Sweep.of(parse(shlex.split(says["command"])[1:])) == SWEEP
 
 
 def test_its_files_tell_the_same(made):
     out, says = made
-    assert [Path(f).name for f in says["files"]] == ["sweep.png", "sweep.svg", "sweep.csv"]
-    lines = (out / "sweep.csv").read_text().splitlines()
+    assert [Path(f).name for f in says["files"]] == [
+        f"sweep-sonar.{kind}" for kind in ("png", "svg", "csv")
+    ]
+    lines = (out / "sweep-sonar.csv").read_text().splitlines()
     assert lines[0] == f"# command: {says['command']}"
     rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
     assert len(rows) == len(says["points"])
@@ -152,8 +155,8 @@ def test_its_files_tell_the_same(made):
         assert row["open"] == point["open"]
         lanes = [float(row[f"error_{k}"]) for k in range(SWEEP.lanes)]
         assert np.median(lanes) == point["median"]
-    assert (out / "sweep.png").read_bytes().startswith(b"\x89PNG")
-    assert says["command"] in (out / "sweep.svg").read_text()
+    assert (out / "sweep-sonar.png").read_bytes().startswith(b"\x89PNG")
+    assert says["command"] in (out / "sweep-sonar.svg").read_text()
     json.dumps(says, allow_nan=False)
 
 
@@ -168,20 +171,31 @@ def test_more_values_go_on_from_what_is_there(made, monkeypatch):
     monkeypatch.setattr(workers._Cores, "submit", note)
     more = make(Sweep(**{**vars(SWEEP), "betas": (0.0, 0.5, 0.8)}), out, threading.Event())
     assert {p.beta for p in done} == {0.8}
-    assert more["points"][:6] == says["points"]
+    for before, now in zip(says["points"], more["points"][:6], strict=True):
+        assert {n: v for n, v in now.items() if "open" not in n} == {
+            n: v for n, v in before.items() if "open" not in n
+        }
 
 
-def test_a_map_does_not_write_over_one_of_another_network(tmp_path, capsys, monkeypatch):
-    """In the folder that it goes to unless told; one with other values takes its place."""
+def test_no_map_is_written_over_by_another_command(tmp_path, capsys, monkeypatch):
+    """In the folder that all go to unless told; its learners stay too, and its own command makes
+    the same files again.
+    """
     monkeypatch.chdir(tmp_path)
-    sonar = ["sweep", "--task", "sonar", "--lanes", "1", "--steps", "50"]
-    assert main([*sonar, "--gamma", "0.1"]) == 0
-    before = Path("sweep/sweep.csv").read_bytes()
-    for other in (["--preset", "paper"], ["--hidden", "3"], ["--task", "pendulum"]):
-        assert main([*sonar, *other]) == 2
-        assert "sweep.csv is of another command and is not written" in capsys.readouterr().err
-    assert Path("sweep/sweep.csv").read_bytes() == before
-    assert main([*sonar, "--gamma", "0.1,0.2"]) == 0
+    sonar = ["sweep", "--task", "sonar", "--lanes", "1"]
+    others = ("--gamma 0.1", "--gamma 0.1,0.2", "--gamma 0.1 --hidden 3", "--gamma 0.1 --seed 1")
+    written = {}
+    for options in (*others, *others):
+        assert main([*sonar, "--steps", "50", *options.split()]) == 0
+        says = json.loads(capsys.readouterr().out)
+        opened = [shlex.split(p[o])[2] for p in says["points"] for o in ("open", "open_start")]
+        made = {file: Path(file).read_bytes() for file in (*says["files"], *opened)}
+        assert written.setdefault(options, made) == made
+    names = [file for made in written.values() for file in made]
+    assert len(set(names)) == len(names)
+    assert Path("sweep/sweep-sonar-4.csv").exists()
+    for made in written.values():
+        assert {file: Path(file).read_bytes() for file in made} == made
 
 
 @pytest.mark.slow
@@ -220,5 +234,5 @@ def test_ctrl_c_and_the_same_command_again(tmp_path):
     stop = threading.Event()
     points = [make(sweep, folder, stop)["points"] for folder in (out, tmp_path / "whole")]
     for point in (*points[0], *points[1]):
-        assert f"--task {task}" in point.pop("open")
+        assert all(f"--task {task}" in point.pop(o) for o in ("open", "open_start"))
     assert points[0] == points[1]

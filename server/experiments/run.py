@@ -96,12 +96,16 @@ class Done:
     def curves(self) -> Curves:
         return joined([tile.curves(self.plan) for tile in self.tiles], self.plan.lanes)
 
+    def start(self, lane: int) -> Learner:
+        """A learner of one lane as it was at the start; the first lane of the plan is 0."""
+        return self.plan.learner(self.plan.first_lane + lane, 1)
+
     def learner(self, lane: int) -> Learner:
-        """A learner of one lane as it is at the end; the first lane of the plan is 0."""
-        number = self.plan.first_lane + lane
+        """The same as it is at the end."""
+        learner = self.start(lane)
+        number = learner.first_lane
         tile = next(t for t in self.tiles if t.first_lane <= number < t.end)
         assert tile.keyframe is not None
-        learner = self.plan.learner(number, 1)
         learner.restore(tile.keyframe.lane(number - tile.first_lane))
         return learner
 

@@ -58,7 +58,7 @@ def make(order: Order, stop: threading.Event) -> dict[str, Any] | None:
     """
     steps_of(order, make_task(order.task or KINDS[order.name].task, order.preset))  # can it be run?
     prepare_folder(order.out)
-    check_replaces(order.out, order.file, f"{order.command}\n")
+    check_replaces(order.out, order.file, order.command)
     began = time.perf_counter()
     folder = unfinished(order)
     try:

@@ -107,7 +107,7 @@ class Order:
         """
         words = [self.name]
         if self.task is not None:
-            words.append(_task_word(self.task))
+            words.append(task_word(self.task))
         if self.preset is not None:  # two tasks have a preset 'quick'
             words.append("quick-preset" if self.preset == "quick" else self.preset)
         counts = ((option, getattr(self, option)) for option in ("lanes", *LENGTHS))
@@ -117,7 +117,7 @@ class Order:
         return re.sub(r"[^\w.=-]+", "-", "-".join(words + ["quick"] * self.quick))
 
 
-def _task_word(task: str) -> str:
+def task_word(task: str) -> str:
     """A task by name; one of the user's own by its file and class, where they are not the same."""
     path, _, class_name = task.rpartition(":")
     stem = Path(path).stem

@@ -13,6 +13,7 @@ import io
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from textwrap import shorten, wrap
 from typing import TYPE_CHECKING, Any
@@ -145,15 +146,23 @@ def save(sheet: Sheet, folder: Path, name: str, origin: Origin) -> list[Path]:
 
 
 def check_replaces(folder: Path, name: str, command: str) -> None:
-    """Raise InputError if files of the name are there that another command made: one that does not
-    begin so.
-    """
-    table = folder / f"{name}.csv"
-    if table.exists() and not table.read_bytes().startswith(f"# command: {command}".encode()):
+    """Raise InputError if files of the name are there that another command made."""
+    if _is_of_another(folder, name, command):
         raise InputError(
-            f"{table} is of another command and is not written over: move it away, or name another "
-            "folder for --out"
+            f"{folder / name}.csv is of another command and is not written over: move it away, or "
+            "name another folder for --out"
         )
+
+
+def own_name(folder: Path, name: str, command: str) -> str:
+    """The first of NAME, NAME-2, NAME-3, … that is free there, or that this command made."""
+    names = (f"{name}-{k}" if k > 1 else name for k in count(1))
+    return next(n for n in names if not _is_of_another(folder, n, command))
+
+
+def _is_of_another(folder: Path, name: str, command: str) -> bool:
+    table = folder / f"{name}.csv"
+    return table.exists() and not table.read_bytes().startswith(f"# command: {command}\n".encode())
 
 
 def mark_end(

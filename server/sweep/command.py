@@ -13,8 +13,8 @@ from hebbviz import files
 from server.experiments import Interrupted, finish, open_workers
 from server.figures.command import prepare_folder, progress_bar
 from server.figures.curves import setting
-from server.figures.sheet import Origin, check_replaces, save
-from server.sweep.grid import Sweep, learners_file
+from server.figures.sheet import Origin, own_name, save
+from server.sweep.grid import Sweep
 from server.sweep.heat_map import sheet
 from server.sweep.outcome import outcome
 from server.terminal import writing
@@ -22,11 +22,10 @@ from server.train import announced_on_terminal
 from sims import TASKS
 
 if TYPE_CHECKING:
+    from hebbviz.learner import Learner
     from server.experiments import Done
     from server.sweep.outcome import Outcome
 
-NAME = "sweep"
-"""Of the files."""
 KEPT = "runs"
 """What was run stays in a folder of this name: a finer map goes on from it."""
 
@@ -41,7 +40,6 @@ def make(
     """
     about = setting(sweep.untrained)  # finds out whether it can be run at all
     prepare_folder(out)
-    check_replaces(out, NAME, sweep.command_begins)
     task = sweep.untrained.make_task()
     began = time.perf_counter()
     try:
@@ -49,9 +47,11 @@ def make(
     except Interrupted:
         return None
     *points, untrained = (outcome(d, task) for d in done)
-    more = [_openings(sweep, d, p, out) for d, p in zip(done[:-1], points, strict=True)]
+    name = own_name(out, sweep.file, sweep.command)
+    learners = out / f"{name}-learners"
+    more = [_openings(sweep, d, p, learners) for d, p in zip(done[:-1], points, strict=True)]
     drawn = sheet(sweep, task, points, untrained, more)
-    paths = save(drawn, out, NAME, Origin(sweep.command, sweep.seed))
+    paths = save(drawn, out, name, Origin(sweep.command, sweep.seed))
     return {
         "files": [str(path) for path in paths], "command": sweep.command,
         "version": hebbviz.__version__, "seed": sweep.seed,
@@ -71,18 +71,23 @@ def _run(sweep: Sweep, folder: Path, stop: threading.Event, scheduler: str | Non
         return finish(sweep.plans(), workers, folder=folder, stop=stop, progress=progress)
 
 
-def _openings(sweep: Sweep, done: Done, point: Outcome, out: Path) -> dict[str, Any]:
-    """Save the learner of the median lane; the commands that open it, and its run, in the page."""
-    beta, gamma = done.plan.beta, done.plan.gamma
-    assert beta is not None
-    assert gamma is not None
-    path = learners_file(out, beta, gamma)
+def _openings(sweep: Sweep, done: Done, point: Outcome, folder: Path) -> dict[str, Any]:
+    """Save the learner of the median lane as it was at the end and at its start; the commands that
+    open the two in the page.
+    """
+    lane, plan = point.middle, done.plan
+    stem = folder / f"beta-{plan.beta!r}-gamma-{plan.gamma!r}"
+    return {
+        "lane": lane,
+        "open": _opening(sweep, done.learner(lane), f"{stem}.npz"),
+        "open_start": _opening(sweep, done.start(lane), f"{stem}-start.npz"),
+    }
+
+
+def _opening(sweep: Sweep, learner: Learner, name: str) -> str:
+    path = Path(name)
     with writing(path):
         path.parent.mkdir(exist_ok=True)
-        files.save(done.learner(point.middle), path, task_name=sweep.task)
+        files.save(learner, path, task_name=sweep.task)
     own = [] if sweep.task in TASKS else ["--task", sweep.task]
-    return {
-        "lane": point.middle,
-        "open": shlex.join(["hebbviz", "--load", str(path), *own]),
-        "open_start": sweep.page(beta, gamma),
-    }
+    return shlex.join(["hebbviz", "--load", str(path), *own])

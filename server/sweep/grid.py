@@ -7,13 +7,13 @@ import math
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from pathlib import Path
 
 import numpy as np
 
 from hebbviz.limits import check_beta, check_gamma
 from server.experiments import Plan
 from server.figures.length import steps_of
+from server.figures.order import task_word
 from server.making import DEFAULT_TASK
 from server.terminal import InputError
 from sims.loading import make_task
@@ -141,34 +141,20 @@ class Sweep:
     @property
     def command(self) -> str:
         """The command that makes the map again."""
-        return self.command_begins + shlex.join(
-            [_listed(self.betas), "--gamma", _listed(self.gammas), "--lanes", str(self.lanes),
-             "--steps", str(self.steps), "--seed", str(self.seed), "--out", "FOLDER"]
+        network = ["--task", self.task, "--preset", str(self.preset)]
+        if self.hidden is not None:
+            network += ["--hidden", ",".join(map(str, self.hidden)) or "none"]
+        return shlex.join(
+            ["hebbviz", "sweep", *network, "--beta", _listed(self.betas), "--gamma",
+             _listed(self.gammas), "--lanes", str(self.lanes), "--steps", str(self.steps),
+             "--seed", str(self.seed), "--out", "FOLDER"]
         )  # fmt: skip
 
     @property
-    def command_begins(self) -> str:
-        """What all maps of this network share: one with other values takes the place of another."""
-        return shlex.join(["hebbviz", "sweep", *self._network(), "--beta"]) + " "
-
-    def page(self, beta: float, gamma: float) -> str:
-        """The command that opens the page with the run of a point, its first lane, at its start."""
-        return shlex.join(
-            ["hebbviz", *self._network(), "--beta", repr(beta), "--gamma", repr(gamma), "--seed",
-             str(self.seed)]
-        )  # fmt: skip
-
-    def _network(self) -> list[str]:
-        words = ["--task", self.task, "--preset", str(self.preset)]
-        if self.hidden is not None:
-            words += ["--hidden", ",".join(map(str, self.hidden)) or "none"]
-        return words
+    def file(self) -> str:
+        """What the files of the first such map in a folder are called, but for their endings."""
+        return f"sweep-{task_word(self.task)}"
 
 
 def _listed(values: tuple[float, ...]) -> str:
     return ",".join(map(repr, values))
-
-
-def learners_file(folder: Path, beta: float, gamma: float) -> Path:
-    """Where the learner of a point is saved."""
-    return folder / "learners" / f"beta-{beta!r}-gamma-{gamma!r}.npz"
