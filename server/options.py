@@ -135,6 +135,18 @@ def _add_train(commands: Any) -> None:
 
 def _add_learner(parser: argparse.ArgumentParser) -> None:
     _add_task(parser)
+    _add_values(parser)
+    _add_rule(parser)
+    parser.add_argument(
+        "--seed", type=_whole("seed", 0, 2**32 - 1), metavar="N", help="random seed (default 0)"
+    )
+    parser.add_argument(
+        "--load", type=_path, metavar="FILE",
+        help="go on with a saved learner, its task and its preset",
+    )  # fmt: skip
+
+
+def _add_values(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--beta", type=_number("beta"), metavar="β",
         help="how long traces last, in [0, 1) (default the preset's)",
@@ -143,6 +155,9 @@ def _add_learner(parser: argparse.ArgumentParser) -> None:
         "--gamma", type=_number("gamma"), metavar="γ",
         help="step size, 0 or more (default the preset's)",
     )  # fmt: skip
+
+
+def _add_rule(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--rule", metavar="R",
         help="paper, baseline, yoked, or your own as path.py:Name; with parameters as "
@@ -152,13 +167,6 @@ def _add_learner(parser: argparse.ArgumentParser) -> None:
         "--fall", type=_fall, metavar="STEPS",
         help="gamma falls over so many steps: at step t it is gamma STEPS/(STEPS + t); never: it "
         "stays (default the preset's)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--seed", type=_whole("seed", 0, 2**32 - 1), metavar="N", help="random seed (default 0)"
-    )
-    parser.add_argument(
-        "--load", type=_path, metavar="FILE",
-        help="go on with a saved learner, its task and its preset",
     )  # fmt: skip
 
 
@@ -172,6 +180,10 @@ def _add_task(parser: argparse.ArgumentParser) -> None:
         "--preset", metavar="P",
         help="a setting of the task (default its first); with a switch as best:centred=no",
     )  # fmt: skip
+    _add_hidden(parser)
+
+
+def _add_hidden(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--hidden", type=_hidden, metavar="SIZES",
         help="hidden layers, as 16 or 8,8 or none (default the task's)",
@@ -325,9 +337,6 @@ def _add_figure(commands: Any) -> None:
         "--out", type=_path, required=True, metavar="FOLDER", help="folder to write into"
     )
     figure.add_argument(
-        "--task", metavar="T", help="for learning: a task by name, or your own as path.py:Name"
-    )
-    figure.add_argument(
         "--preset",
         metavar="P",
         help="a setting of the task (default the figure's own); with a switch as best:centred=no",
@@ -345,6 +354,11 @@ def _add_figure(commands: Any) -> None:
         "--quick", action="store_true", help="a small version in less than a minute, to try it"
     )
     _add_scheduler(figure)
+    learning = figure.add_argument_group("of figure learning")
+    learning.add_argument("--task", metavar="T", help="a task by name, or your own as path.py:Name")
+    _add_hidden(learning)
+    _add_values(learning)
+    _add_rule(learning)
 
 
 def _add_sweep(commands: Any) -> None:
@@ -374,6 +388,7 @@ def _add_sweep(commands: Any) -> None:
         help="values of γ, as 1e-3,1e-2 or as a range 1e-4:1e-1:7, evenly in its logarithm "
         "(default the preset's)",
     )  # fmt: skip
+    _add_rule(sweep)
     sweep.add_argument(
         "--lanes", type=_whole("lanes", 1, MOST_LANES), default=16, metavar="N",
         help="independent runs of each pair (default %(default)s)",

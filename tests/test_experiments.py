@@ -203,7 +203,7 @@ def test_curves_of_too_many_lanes_are_not_joined():
         joined([curves, curves], 5)
 
 
-def test_plans_are_kept_apart(tmp_path):
+def test_plans_are_kept_apart(tmp_path, monkeypatch):
     own = tmp_path / "own.py"
     own.write_text(Path(LEVER.rpartition(":")[0]).read_text())
     plan = replace(PULLS, task=f"{own}:Lever")
@@ -214,6 +214,15 @@ def test_plans_are_kept_apart(tmp_path):
     digests = {p.digest() for p in (plan, *others)}
     own.write_text(own.read_text() + "\n# edited\n")
     assert len(digests | {plan.digest()}) == len(others) + 2
+    rule = tmp_path / "rule.py"
+    rule.write_text("one")
+    ruled = replace(plan, options={"rule": f"{rule}:Mine:time=5", "fall": 1e6})
+    digests = {p.digest() for p in (plan, ruled, replace(ruled, options={"fall": 1e6}))}
+    rule.write_text("two")
+    assert len(digests | {ruled.digest()}) == 4
+    monkeypatch.chdir(tmp_path)
+    elsewhere = replace(ruled, options={"rule": "rule.py:Mine:time=5", "fall": 1e6})
+    assert elsewhere.digest() == elsewhere.for_workers().digest() == ruled.digest()
     assert pickle.loads(pickle.dumps(plan)).digest() == plan.digest()
     assert Plan(**json.loads(json.dumps(plan.to_json()))).digest() == plan.digest()
 

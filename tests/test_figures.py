@@ -19,12 +19,13 @@ from PIL import Image
 
 import hebbviz
 from hebbviz.learner import Learner
+from hebbviz.task import Measure
 from hebbviz.truth import angle_between
 from server.cli import main
 from server.experiments import Curves, Plan
 from server.experiments.share import Tile, bring_on
 from server.figures import learning, pendulum
-from server.figures.curves import preset_note
+from server.figures.curves import preset_note, set_measure_axis
 from server.figures.gradient import BETAS, STILL, Watched, Watching, angle_of_all
 from server.figures.length import Time
 from server.figures.order import KINDS, Order
@@ -145,6 +146,12 @@ def test_three_files_are_written_and_say_by_what_they_were_made(made, name):
         ("learning --task sonar --steps 2000", "learning-sonar-2000-steps"),
         ("learning --task ../a/lever.py:Lever", "learning-lever"),
         ("learning --task mine.py:Pole", "learning-mine-Pole"),
+        ("learning --rule yoked --lanes 4", "learning-yoked-4-lanes"),
+        ("learning --rule a/my.py:Own:time=5 --fall never", "learning-my-Own-time=5-fall-never"),
+        (
+            "learning --hidden none --beta 0.9 --gamma 1e-3",
+            "learning-hidden-none-beta-0.9-gamma-0.001",
+        ),
     ],
 )
 def test_files_are_called_by_what_was_asked(options, file):
@@ -302,6 +309,16 @@ def test_pendulum_shows_the_falls_of_every_run(made):
         assert says["presets"][preset]["mean_time_to_fall_s_median_at_end"] == end
 
 
+@pytest.mark.parametrize(("end", "is_flat"), [(0.7, True), (30.0, False)])
+def test_literal_is_called_flat_only_where_it_is(end, is_flat):
+    steps = np.array([500, 50_000, 5_000_000])
+    plan = Plan(task="pendulum", preset="literal", lanes=1, segments=1, segment_steps=5_000_000)
+    course = Course(steps, np.array([[0.5, 0.6, end]]), np.zeros((1, 3), dtype=bool))
+    ones = np.ones((1, 1))
+    curves = Curves(steps[-1:], plan.steps, ones, ones, ones, steps[:0], {})
+    assert pendulum._is_flat_literal(pendulum._Curve(plan, curves, course)) is is_flat
+
+
 @pytest.mark.parametrize(("highest", "top"), [(100.0, 3e4), (4e5, 6e5)])
 def test_no_time_to_fall_is_cut_off(highest, top):
     values = np.array([[0.5, 2.0, 50.0], [0.5, 9.0, highest]])
@@ -327,6 +344,47 @@ def test_learning_shows_the_measure_of_a_users_task(made):
     assert learner.step == says["steps"] == 2000
     assert says["average_reward_median_at_end"] == columns["average_reward_median"][-1]
     assert says["average_reward"][1] == pytest.approx(columns["average_reward_1"][-5:].mean())
+
+
+OWN_RULE = """
+from dataclasses import dataclass
+from hebbviz.rules import Rule, parameter
+
+@dataclass(frozen=True)
+class Scaled(Rule):
+    name = "scaled"
+    by: float = parameter(1.0, least=0.0, most=10.0)
+
+    @staticmethod
+    def modulate(memory, constants, reward, ended, sent):
+        for lane in range(len(reward)):
+            sent[lane] = constants[0] * reward[lane]
+"""
+
+
+def test_learning_takes_a_network_values_and_a_rule_of_ones_own(tmp_path):
+    """Twice the reward with half of γ is the paper's rule, to the bit where both are exact."""
+    own = tmp_path / "own.py"
+    own.write_text(OWN_RULE)
+    options = f"--task {LEVER} --lanes 2 --steps 2000 --hidden 2 --beta 0.25 --fall 1e4"
+    paper = Made("learning", tmp_path / "a", f"{options} --rule paper --gamma 0.5")
+    mine = Made("learning", tmp_path / "b", f"{options} --rule {own}:Scaled:by=2 --gamma 0.25")
+    for name in ("network", "beta", "fall"):
+        assert mine.says[name] == paper.says[name] == {
+            "network": "1-2-1", "beta": 0.25, "fall": 1e4,
+        }[name]  # fmt: skip
+    assert (mine.says["rule"], mine.says["gamma"]) == ("scaled:by=2", 0.25)
+    for name, values in paper.columns.items():
+        np.testing.assert_array_equal(mine.columns[name], values)
+    assert np.std(paper.columns["average_reward_0"]) > 0.0
+
+
+def test_a_yoked_control_is_drawn_from_lanes_that_touch(tmp_path, capsys):
+    argv = ["figure", "learning", "--task", LEVER, "--steps", "500", "--rule", "yoked"]
+    assert main([*argv, "--lanes", "1", "--out", str(tmp_path / "one")]) == 2
+    assert "rule yoked needs 2 lanes or more" in capsys.readouterr().err
+    assert main([*argv, "--lanes", "3", "--out", str(tmp_path / "three")]) == 0
+    assert json.loads(capsys.readouterr().out)["rule"] == "yoked"
 
 
 SLOW_SHARES = """
@@ -389,6 +447,8 @@ def test_an_interrupted_figure_goes_on_and_comes_out_the_same(made, tmp_path):
         ("learning --out {out} --task none", "no task 'none'"),
         ("learning --out {out} --epochs 1 --hours 1", "not allowed with"),
         ("pendulum --out {out} --hours 0", "hours"),
+        ("pendulum --out {out} --hours 1e-9", "a run of 1e-09 is too short for a curve: ask for"),
+        ("learning --out {out} --task {lever} --steps 4", "ask for 5 or more"),
         ("pendulum --out {out} --hours 1e308", "at most 1,000,000,000,000 steps, got inf"),
         ("pendulum --out {out} --hours 1e300", "at most 1,000,000,000,000 steps, got 1.8e+305"),
         ("learning --out {out} --hours 1e300", "at most 1,000,000,000,000 steps, got 1.8e+305"),
@@ -455,6 +515,25 @@ def title_boxes(figure):
     titles = [axes.set_title(axes.get_title(loc), loc=loc) for axes in figure.axes
               for loc in ("left", "center", "right")]  # fmt: skip
     return [title.get_window_extent() for title in titles if title.get_text()]
+
+
+def test_stretches_without_an_end_grow_along_the_curve(tmp_path):
+    """A block as long as any other would be the ceiling of a time to fall, whatever is learnt."""
+    columns = Made("learning", tmp_path, "--lanes 1 --steps 3000").columns
+    lengths = np.diff(columns["step"], prepend=0)
+    assert lengths[-1] > 10 * lengths[0]
+    assert columns["step"][-1] == 3000
+
+
+@pytest.mark.parametrize("value", [1e200, -3.0, 0.0])
+def test_rounding_is_not_drawn_as_a_curve(value):
+    with look():
+        axes = blank(2.0).add_subplot()
+        axes.plot([0, 1], [value, value * (1 + 1e-15)])
+        set_measure_axis(axes, Measure("average reward", "average_reward"))
+        bottom, top = axes.get_ylim()
+    assert bottom < value < top
+    assert top - bottom > 0.1 * abs(value)
 
 
 @pytest.mark.parametrize("name", [*TASKS, LEVER, "a long summary"])

@@ -5,11 +5,11 @@
 goes on from there. What comes of it are `Curves`.
 """
 
-from server.experiments.plan import Curves, Plan
+from server.experiments.plan import Curves, Plan, options_of
 from server.experiments.run import Done, Interrupted, finish, run, run_all
 from server.experiments.workers import LostWorkers, Workers, open_workers
 
 __all__ = [
     "Curves", "Done", "Interrupted", "LostWorkers", "Plan", "Workers", "finish", "open_workers",
-    "run", "run_all",
+    "options_of", "run", "run_all",
 ]  # fmt: skip

@@ -6,17 +6,18 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 import hebbviz
 from hebbviz.learner import Learner
-from hebbviz.rules import Rule, make_rule
+from hebbviz.rules import Rule
 from hebbviz.task import Tally, Task
-from sims.loading import make_task
+from sims.loading import load_rule, make_task
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ class Plan:
     evaluate : a frozen copy is evaluated before the first segment and after every so many; 0 for
         never.
     options : whatever else a `Learner` takes by keyword; numbers and strings, the rule as
-        `make_rule` reads it.
+        `load_rule` reads it.
     """
 
     task: str
@@ -75,8 +76,9 @@ class Plan:
         return make_task(self.task, self.preset).in_lanes()
 
     def rule(self) -> Rule:
-        """The rule of the options, or of the task's preset; raises as `make_rule`, `make_task`."""
-        return make_rule(self.options.get("rule") or self.make_task().preset.rule)
+        """The rule of the options, or of the task's preset; raises as `load_rule`, `make_task`."""
+        spec = self.options.get("rule") or self.make_task().preset.rule
+        return _rule(spec, _text(spec))
 
     def learner(self, first_lane: int, lanes: int) -> Learner:
         """Some of the lanes at their start; raises ValueError and TaskError as `Learner` does."""
@@ -87,11 +89,20 @@ class Plan:
         )  # fmt: skip
 
     def for_workers(self) -> Self:
-        """This plan with the whole path of a user's own task, for workers in other folders."""
-        file, colon, name = self.task.rpartition(":")
-        if not file.endswith(".py"):
-            return self
-        return replace(self, task=f"{Path(file).resolve()}{colon}{name}")
+        """This plan with the whole paths of a user's own files, for workers in other folders."""
+        options = dict(self.options)
+        if "rule" in options:
+            options["rule"] = _whole(options["rule"])
+        return replace(self, task=_whole(self.task), options=options)
+
+    def own(self) -> dict[str, Path]:
+        """The user's own files in it, by what they are: 'task my.py:Name', 'rule my.py:Name'."""
+        specs = {"task": self.task, "rule": self.options.get("rule", "")}
+        return {
+            f"{what} {spec}": Path(f"{spec.partition('.py:')[0]}.py")
+            for what, spec in specs.items()
+            if ".py:" in spec
+        }
 
     def evaluates_at(self, step: int) -> bool:
         """Whether a frozen copy is evaluated at this step, which is the end of a segment, or 0."""
@@ -101,16 +112,55 @@ class Plan:
         return asdict(self)
 
     def digest(self) -> str:
-        """Tells this plan from all others, under this version and with this text of a user's task,
-        wherever its file is.
+        """Tells this plan from all others, under this version and with these texts of a user's task
+        and rule, wherever their files are.
 
-        Raises OSError if that file cannot be read.
+        Raises OSError if such a file cannot be read.
         """
-        file, _, name = self.task.rpartition(":")
-        own = Path(file).read_bytes() if file.endswith(".py") else b""  # of whatever encoding
-        task = [name, own.decode(errors="surrogateescape")]
-        content = json.dumps([hebbviz.__version__, self.to_json() | {"task": task}], sort_keys=True)
+        options = dict(self.options)
+        if "rule" in options:
+            options["rule"] = _content(options["rule"])
+        said = self.to_json() | {"task": _content(self.task), "options": options}
+        content = json.dumps([hebbviz.__version__, said], sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()[:16]
+
+
+# What a user's own file is given as: path.py:Name, of a rule with :parameter=value after it or not
+
+
+@cache
+def _rule(spec: str, _text: bytes) -> Rule:
+    """Made once for every text of its file: what is compiled of it is kept with its class."""
+    return load_rule(spec)
+
+
+def _text(spec: str) -> bytes:
+    """Of a user's own file, in whatever encoding; of what has none, nothing."""
+    path, own, _ = spec.partition(".py:")
+    return Path(f"{path}.py").read_bytes() if own else b""
+
+
+def _content(spec: str) -> list[str]:
+    path, own, name = spec.partition(".py:")
+    return [name if own else path, _text(spec).decode(errors="surrogateescape")]
+
+
+def _whole(spec: str) -> str:
+    path, own, name = spec.partition(".py:")
+    return f"{Path(f'{path}.py').resolve()}:{name}" if own else spec
+
+
+class _Asked(Protocol):
+    @property
+    def rule(self) -> str | None: ...
+    @property
+    def fall(self) -> float | None: ...
+
+
+def options_of(asked: _Asked) -> dict[str, Any]:
+    """A plan's options for the rule and the fall of γ that were asked for; None is the preset's."""
+    options = {"rule": asked.rule, "fall": asked.fall}
+    return {name: value for name, value in options.items() if value is not None}
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -97,16 +97,24 @@ class Done:
         return joined([tile.curves(self.plan) for tile in self.tiles], self.plan.lanes)
 
     def start(self, lane: int) -> Learner:
-        """A learner of one lane as it was at the start; the first lane of the plan is 0."""
+        """A learner of one lane as it was at the start; the first lane of the plan is 0.
+
+        Where lanes touch each other, it has all of them.
+        """
+        if self.plan.rule().lanes_touch:
+            return self.plan.learner(self.plan.first_lane, self.plan.lanes)
         return self.plan.learner(self.plan.first_lane + lane, 1)
 
     def learner(self, lane: int) -> Learner:
         """The same as it is at the end."""
         learner = self.start(lane)
-        number = learner.first_lane
-        tile = next(t for t in self.tiles if t.first_lane <= number < t.end)
+        first = learner.first_lane
+        tile = next(t for t in self.tiles if t.first_lane <= first < t.end)
+        if tile.lanes == learner.lanes:
+            return tile.learner(self.plan)
         assert tile.keyframe is not None
-        learner.restore(tile.keyframe.lane(number - tile.first_lane))
+        keyframe = tile.keyframe.lane(first - tile.first_lane)
+        learner.restore(replace(keyframe, rule=learner.rule))
         return learner
 
 

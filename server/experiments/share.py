@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 import hebbviz
 from hebbviz.learner import Learner
 from hebbviz.moments import Keyframe
+from hebbviz.rules.paper import PAPER
 from server.experiments.plan import Curves, Plan
 from server.stretches import stretches
 from server.terminal import WorkersFailed, place_in
@@ -32,16 +32,19 @@ class WrongVersion(WorkersFailed):
 
 
 class ChangedTask(ValueError):
-    """A worker read another text of the user's task than the run began with."""
+    """A worker read another text of the user's task or rule than the run began with."""
 
 
 @dataclass(frozen=True)
 class Tile:
     """Lanes that are run side by side, and how far they have come.
 
-    `keyframe` is None before anything was done. `totals` (segments done, 3, lanes) are those
-    since the start, of reward, broadcast reward and ended episodes, at the end of each segment;
-    `figures` (evaluations done, lanes) by the names of `Task.evaluate`.
+    `keyframe` is None before anything was done. It does not say the rule, which is the plan's: one
+    of a user's own could not be unpickled where its file was not read before.
+
+    `totals` (segments done, 3, lanes) are those since the start, of reward, broadcast reward and
+    ended episodes, at the end of each segment; `figures` (evaluations done, lanes) by the names of
+    `Task.evaluate`.
     """
 
     first_lane: int
@@ -63,7 +66,7 @@ class Tile:
         """The tile's lanes as they are now."""
         learner = plan.learner(self.first_lane, self.lanes)
         if self.keyframe is not None:
-            learner.restore(self.keyframe)
+            learner.restore(replace(self.keyframe, rule=learner.rule))
         return learner
 
     def curves(self, plan: Plan) -> Curves:
@@ -101,19 +104,19 @@ def bring_on(plan: Plan, tile: Tile, seconds: float, version: str, digest: str) 
         check_unchanged(plan, digest)  # nor was it edited since: this text is the one that was run
         share.run(time.monotonic() + seconds)
     except Exception as error:
-        where = place_in(Path(plan.task.rpartition(":")[0]), error)
-        if where:
-            error.add_note(where)
+        for file in plan.own().values():
+            if where := place_in(file, error):
+                error.add_note(where)
         raise
     return share.tile()
 
 
 def check_unchanged(plan: Plan, digest: str) -> None:
-    """Raise ChangedTask if the file of the plan's task is another than when this was its digest."""
+    """Raise ChangedTask if a user's file in the plan is another than when this was its digest."""
     if plan.digest() != digest:
         raise ChangedTask(
-            f"task {plan.task}: the file is not what the run began with, here or on a worker: put "
-            "it back to go on, or start again with it everywhere"
+            f"{' or '.join(plan.own())}: the file is not what the run began with, here or on a "
+            "worker: put it back to go on, or start again with it everywhere"
         )
 
 
@@ -146,7 +149,7 @@ class _Share:
     def tile(self) -> Tile:
         tile = self._tile
         return Tile(
-            tile.first_lane, tile.lanes, self._learner.keyframe(),
+            tile.first_lane, tile.lanes, replace(self._learner.keyframe(), rule=PAPER),
             np.array(self._totals).reshape(-1, 3, tile.lanes),
             {name: np.array(values) for name, values in self._figures.items()},
         )  # fmt: skip

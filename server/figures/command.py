@@ -56,7 +56,8 @@ def make(order: Order, stop: threading.Event) -> dict[str, Any] | None:
     None once `stop` was set: what was done is kept. Raises InputError, ValueError, TaskError and
     OSError for what the user can mend.
     """
-    steps_of(order, make_task(order.task or KINDS[order.name].task, order.preset))  # can it be run?
+    kind = KINDS[order.name]
+    steps_of(order, make_task(order.task or kind.task, order.preset), least=kind.least)
     prepare_folder(order.out)
     check_replaces(order.out, order.file, order.command)
     began = time.perf_counter()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from hebbviz.rules.paper import PAPER
@@ -12,6 +14,7 @@ from server.terminal import finite
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
 
     from hebbviz.task import Measure, Task
     from server.experiments import Curves, Plan
@@ -20,10 +23,15 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+_FLAT = 1e-6
+"""A curve whose values differ by less than this part of them is flat."""
+
 
 def setting(plan: Plan) -> dict[str, Any]:
-    """With what a plan is run, its defaults filled in."""
-    learner = plan.learner(plan.first_lane, 1)
+    """With what a plan is run, its defaults filled in. Raises what running it would at once."""
+    rule = plan.rule()
+    rule.check_lanes(plan.lanes)
+    learner = plan.learner(plan.first_lane, rule.least_lanes)
     return {
         "task": plan.task, "preset": learner.task.preset_name,
         "network": learner.topology.describe(), "beta": learner.beta, "gamma": learner.gamma,
@@ -34,7 +42,7 @@ def setting(plan: Plan) -> dict[str, Any]:
 def words_of(plan: Plan) -> str:
     """`setting` in a line, but for the lanes."""
     s = setting(plan)
-    falls = f" falling over {shown(s['fall'])} steps" if s["fall"] is not None else ""
+    falls = f" falling over {s['fall']:,.12g} steps" if s["fall"] is not None else ""
     rule = "" if s["rule"] == PAPER.name else f", rule {s['rule']}"
     return f"{s['network']}, β {s['beta']:g}, γ {shown(s['gamma'])}{falls}{rule}"
 
@@ -84,11 +92,34 @@ def set_measure_axis(axes: Axes, measure: Measure) -> None:
     """The vertical axis of a task's measure."""
     unit = f", {measure.unit}" if measure.unit else ""
     axes.set_ylabel(f"{measure.name}{unit}")
+    low, high = axes.dataLim.intervaly
     if measure.logarithmic:
         axes.set_yscale("log")
+        axes.set_ylim(*decades(axes.dataLim.minposy, high))
+        return
+    axes.ticklabel_format(axis="y", useOffset=False)
     if measure.span is not None:
-        low, high = measure.span
-        axes.set_ylim(low, max(high, axes.dataLim.y1))
+        axes.set_ylim(measure.span[0], max(measure.span[1], high))
+    elif high - low <= _FLAT * max(abs(low), abs(high)):  # its last digits are no news
+        room = 0.1 * abs(high) or 1.0
+        axes.set_ylim(low - room, high + room)
+
+
+def decades(low: float, high: float) -> tuple[float, float]:
+    """The powers of ten around two numbers above 0, at least one decade."""
+    first = math.floor(math.log10(low))
+    return 10.0**first, 10.0 ** max(math.ceil(math.log10(high)), first + 1)
+
+
+def count_axis(axis: Axis) -> None:
+    """An axis of whole numbers, written as everywhere in the figures: 20,000."""
+    axis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
+    axis.set_major_formatter(FuncFormatter(lambda count, _: f"{count:,.12g}"))
+
+
+def runs(lanes: int) -> str:
+    """So many of them, in words."""
+    return "1 run" if lanes == 1 else f"{lanes} runs"
 
 
 def outcome(task: Task, course: Course, curves: Curves) -> dict[str, Any]:

@@ -5,21 +5,25 @@ from __future__ import annotations
 from textwrap import fill
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from server import palette
-from server.experiments import Plan
+from server.experiments import Plan, options_of
 from server.figures.curves import (
+    count_axis,
     course_columns,
     draw_course,
     outcome,
     preset_note,
+    runs,
     set_measure_axis,
     setting,
     words_of,
 )
 from server.figures.length import Time, cut, steps_of, time_of
 from server.figures.order import KINDS
-from server.figures.scales import Course, even_course
-from server.figures.sheet import Sheet, Table, blank, color, look
+from server.figures.scales import Course, course, even_course, scales
+from server.figures.sheet import Sheet, Table, blank, color, head, look
 from sims.loading import make_task
 
 if TYPE_CHECKING:
@@ -30,6 +34,12 @@ if TYPE_CHECKING:
     from server.figures.order import Order
 
 _POINTS, _QUICK_POINTS = 100, 25
+_GROWING, _PER_DECADE = 500, 12
+"""Segments that stretches of growing length are made of, and how many of these a decade has."""
+_SHOWN, _QUICK_SHOWN = 1000, 100
+"""The last step over the first, on an axis of time that is logarithmic."""
+_BOUND = "nothing ended in that block"
+_GROW = "Blocks of time, a point each, are equally long on the axis, so that they grow along it."
 _TITLE_LETTERS = 76
 """In a line of the title; what a task says of itself may be longer."""
 
@@ -40,22 +50,31 @@ def make(order: Order, work: Work) -> Sheet:
     task = make_task(name, order.preset)
     time = time_of(order, task)
     steps = steps_of(order, task) or (20_000 if order.quick else 10**6)
-    segments, segment_steps = cut(steps, _QUICK_POINTS if order.quick else _POINTS)
+    points = _QUICK_POINTS if order.quick else _POINTS
+    segments, segment_steps = cut(steps, _GROWING if task.measure.logarithmic else points)
     plan = Plan(
-        task=name, preset=order.preset, seed=order.seed,
-        lanes=order.lanes or (3 if order.quick else 16), segments=segments,
-        segment_steps=segment_steps,
+        task=name, preset=order.preset, hidden=order.hidden, beta=order.beta, gamma=order.gamma,
+        seed=order.seed, lanes=order.lanes or (3 if order.quick else 16), segments=segments,
+        segment_steps=segment_steps, options=options_of(order),
     )  # fmt: skip
-    (curves,) = work.curves([plan])
-    course = even_course(task, curves)
-    with look():
-        figure = _draw(plan, task, time, course)
     numbers = setting(plan) | {"steps": plan.steps, "measure": task.measure.key}
-    numbers |= outcome(task, course, curves)
-    quick = f"quick: {plan.lanes} runs of {plan.steps:,} steps in place of 16 of 1,000,000\n"
-    about = f"{plan.lanes} runs, {words_of(plan)}\n"
-    notes = (quick if order.quick else "") + about + preset_note(plan)
-    return Sheet(figure, _table(task, time, course), numbers, notes)
+    if task.measure.logarithmic:
+        first = max(1, steps // (_QUICK_SHOWN if order.quick else _SHOWN))
+        found = work.curves(scales(plan, first=_GROWING * first // 10))
+        shown = course(task, found, first=first, per_decade=_PER_DECADE)
+    else:
+        found = work.curves([plan])
+        shown = even_course(task, found[-1])
+    with look():
+        figure = _draw(plan, task, time, shown)
+    quick = f"quick: {runs(plan.lanes)} of {plan.steps:,} steps in place of 16 of 1,000,000\n"
+    about = f"{runs(plan.lanes)}, {words_of(plan)}\n{preset_note(plan)}"
+    notes = (quick if order.quick else "") + about
+    if task.measure.logarithmic:
+        notes += f"\n{_GROW}"
+    return Sheet(
+        figure, _table(task, time, shown), numbers | outcome(task, shown, found[-1]), notes
+    )
 
 
 def _table(task: Task, time: Time, course: Course) -> Table:
@@ -72,5 +91,12 @@ def _draw(plan: Plan, task: Task, time: Time, course: Course) -> Figure:
     draw_course(axes, course, 1.0 / time.steps, color(palette.BRAND))
     set_measure_axis(axes, task.measure)
     axes.set(xlim=(0, plan.steps / time.steps), xlabel=time.name)
-    axes.set_title(fill(f"{task.name}: {task.summary or 'learning'}", _TITLE_LETTERS))
+    if task.measure.logarithmic:
+        axes.set(xscale="log", xlim=np.array([course.steps[0], plan.steps]) / time.steps)
+    elif time.steps == 1.0 or time.key == "epoch":
+        count_axis(axes.xaxis)
+    words = f"thin: each of {runs(plan.lanes)}; bold: their median" if plan.lanes > 1 else "1 run"
+    if course.median_is_bound.any():
+        words += f"; ○ at least this: {_BOUND}"
+    head(axes, fill(f"{task.name}: {task.summary or 'learning'}", _TITLE_LETTERS), words)
     return figure

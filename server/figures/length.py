@@ -56,18 +56,23 @@ def cut(length: int, about: int) -> tuple[int, int]:
     return max(1, round(length / piece)), piece
 
 
-def steps_of(asked: Asked, task: Task) -> int | None:
-    """What was asked for in steps; None if nothing was. Raises InputError for what is too long."""
-    for length in (asked.epochs, asked.hours):
+def steps_of(asked: Asked, task: Task, *, least: int = 1) -> int | None:
+    """What was asked for in steps; None if nothing was. Raises InputError for what is too long, or
+    too short to be drawn: less than `least` steps.
+    """
+    for length in (asked.epochs, asked.hours, asked.steps):
         if length is not None:
-            if length <= 0:
-                raise InputError(f"a run must be longer than nothing, got {length:g}")
-            return _whole(length * time_of(asked, task).steps)
-    return None if asked.steps is None else _whole(asked.steps)
+            return _whole(length, time_of(asked, task).steps, least)
+    return None
 
 
-def _whole(steps: float) -> int:
-    """So many steps in whole ones, at least one."""
+def _whole(length: float, unit: float, least: int) -> int:
+    """A length in whole steps, of which its unit has so many."""
+    steps = length * unit
     if steps > MOST_STEPS:
         raise InputError(f"a run has at most {MOST_STEPS:,} steps, got {steps:.3g}: ask for fewer")
-    return max(1, round(steps))
+    if round(steps) < least:
+        raise InputError(
+            f"a run of {length:g} is too short for a curve: ask for {least / unit:.3g} or more"
+        )
+    return round(steps)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
 import shlex
 from dataclasses import dataclass, fields
@@ -15,12 +16,13 @@ from server.terminal import InputError
 @dataclass(frozen=True)
 class Kind:
     """A figure: what it shows, of which task unless another is asked for, and the options that it
-    takes besides --out, --seed and --quick.
+    takes besides --out, --seed and --quick; `least` steps of a run give its curve a few points.
     """
 
     shows: str
     task: str
     takes: tuple[str, ...] = ()
+    least: int = 1
 
 
 KINDS = {
@@ -39,11 +41,26 @@ KINDS = {
         "time to fall, each run and the median, for every preset",
         "pendulum",
         ("preset", "lanes", "hours", "scheduler"),
+        least=1800,
     ),
     "learning": Kind(
         "the learning curves of any task, also your own",
         DEFAULT_TASK,
-        ("task", "preset", "lanes", "epochs", "hours", "steps", "scheduler"),
+        (
+            "task",
+            "preset",
+            "hidden",
+            "beta",
+            "gamma",
+            "rule",
+            "fall",
+            "lanes",
+            "epochs",
+            "hours",
+            "steps",
+            "scheduler",
+        ),
+        least=5,
     ),
 }
 
@@ -64,6 +81,11 @@ class Order:
     out: Path
     task: str | None = None
     preset: str | None = None
+    hidden: tuple[int, ...] | None = None
+    beta: float | None = None
+    gamma: float | None = None
+    rule: str | None = None
+    fall: float | None = None
     lanes: int | None = None
     epochs: int | None = None
     hours: float | None = None
@@ -96,7 +118,7 @@ class Order:
         for option in _options():
             value = getattr(self, option)
             if value is not None:
-                words += [f"--{option}", str(value)]
+                words += [f"--{option}", said(value)]
         words += ["--seed", str(self.seed)]
         return shlex.join(words + ["--quick"] * self.quick)
 
@@ -110,6 +132,12 @@ class Order:
             words.append(task_word(self.task))
         if self.preset is not None:  # two tasks have a preset 'quick'
             words.append("quick-preset" if self.preset == "quick" else self.preset)
+        if self.hidden is not None:
+            words.append(f"hidden-{said(self.hidden)}")
+        if self.rule is not None:
+            words.append(_rule_word(self.rule))
+        values = ((option, getattr(self, option)) for option in ("beta", "gamma", "fall"))
+        words += [f"{option}-{said(value)}" for option, value in values if value is not None]
         counts = ((option, getattr(self, option)) for option in ("lanes", *LENGTHS))
         words += [f"{count}-{option}" for option, count in counts if count is not None]
         if self.seed:
@@ -124,6 +152,22 @@ def task_word(task: str) -> str:
     if not path:
         return task
     return stem if stem.lower() == class_name.lower() else f"{stem}-{class_name}"
+
+
+def _rule_word(rule: str) -> str:
+    """A rule by its name or its file and class, with the parameters that were given."""
+    path, own, name = rule.partition(".py:")
+    if not own:
+        return rule
+    class_name, _, given = name.partition(":")
+    return "-".join(filter(None, (task_word(f"{path}.py:{class_name}"), given)))
+
+
+def said(value: object) -> str:
+    """A value as the command line takes it."""
+    if isinstance(value, tuple):
+        return ",".join(map(str, value)) or "none"
+    return "never" if value == math.inf else str(value)
 
 
 def _options() -> tuple[str, ...]:

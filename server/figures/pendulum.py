@@ -8,6 +8,7 @@ world: every thrust by chance, and the same thrust all the time.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from server.figures.curves import (
 )
 from server.figures.length import cut, steps_of
 from server.figures.scales import Course, course, scales
-from server.figures.sheet import IDLE, INK, SMALL, TINY, Sheet, Table, blank, color, look
+from server.figures.sheet import IDLE, TINY, Sheet, Table, blank, color, head, look, title
 from sims.pendulum import Pendulum
 from sims.pendulum_physics import PLANT
 
@@ -49,13 +50,15 @@ mid-rise. Any other has `OTHER_SECONDS`.
 OTHER_SECONDS = 1e5
 
 WHY_FLAT = (
-    "Flat, and so it should be: inputs in SI units\nare small beside the weights that it takes "
-    "to\nbalance, and at γ = 10⁻⁶ the weights have\nhardly moved yet. It takes over 10⁷ s."
+    "Flat, and so it should be: inputs in SI units are small beside the weights that it takes to "
+    "balance, and at γ = 10⁻⁶ the weights have hardly moved yet. It takes over 10⁷ s."
 )
+_FLAT = 2.0
+"""The highest median of a flat curve over its lowest, at most."""
 
 POINT = (
-    "A point is the time of a block divided by the falls in it; blocks are equally long on the "
-    "axis, so that they grow along it."
+    "A point is the time of a block divided by the falls in it (○ at least this: most runs had "
+    "none); blocks are equally long on the axis, so that they grow along it."
 )
 
 _QUICK_SECONDS = 10_000.0
@@ -65,6 +68,8 @@ _FIRST = round(10.0 / PLANT.time_step)
 _PER_DECADE = 12
 _LOWEST, _HIGHEST = 0.15, 3e4
 """Time to fall in s: ends of the axis, unless a run gets higher."""
+_LETTERS = 64
+"""In a line above a panel."""
 _EPISODES, _QUICK_EPISODES = 1000, 200
 _COLORS = {"quick": 5, "raw": 2, "paper": 4, "literal": 3}
 
@@ -88,10 +93,26 @@ def make(order: Order, work: Work) -> Sheet:
     curves = [_curve(scale, [next(found) for _ in scale]) for scale in plans]
     with look():
         figure = _draw(curves, baselines)
-    quick = f"quick: {lanes} short runs in place of 16 runs of up to 4·10⁶ simulated seconds\n"
-    about = f"\n{preset_note(curves[0].plan)}" if order.preset else ""
-    notes = (quick if order.quick else "") + POINT + about
-    return Sheet(figure, _table(curves), _numbers(curves, baselines), notes)
+    notes = [POINT, _not_drawn() if order.preset is None else preset_note(curves[0].plan)]
+    if order.quick:
+        short = f"{lanes} short run{'s' * (lanes > 1)}"
+        notes.insert(0, f"quick: {short} in place of 16 runs of up to 4·10⁶ simulated seconds")
+    if any(_is_flat_literal(c) for c in curves):
+        notes.append(f"Preset literal: {WHY_FLAT[0].lower()}{WHY_FLAT[1:]}")
+    return Sheet(figure, _table(curves), _numbers(curves, baselines), "\n".join(notes))
+
+
+def _not_drawn() -> str:
+    """Which presets the figure of all leaves out, and how to get them."""
+    left_out = [preset for preset in Pendulum.presets if preset not in SECONDS]
+    options = " or ".join(f"--preset {preset}" for preset in left_out)
+    return f"Left out: preset {' and '.join(left_out)}, which {options} draws."
+
+
+def _is_flat_literal(curve: _Curve) -> bool:
+    """Whether the words on why it is flat are true of it."""
+    median = curve.course.median
+    return curve.plan.preset == "literal" and bool(median.max() < _FLAT * median.min())
 
 
 def _curve(scale: Sequence[Plan], found: Sequence[Curves]) -> _Curve:
@@ -108,7 +129,7 @@ def _numbers(curves: Sequence[_Curve], baselines: dict[str, float]) -> dict[str,
         }
         for c in curves
     }  # fmt: skip
-    says = {"literal_says": WHY_FLAT.replace("\n", " ")} if "literal" in presets else {}
+    says = {"literal_says": WHY_FLAT} if any(_is_flat_literal(c) for c in curves) else {}
     return {"lanes": curves[0].plan.lanes, **baselines, "presets": presets, **says}
 
 
@@ -185,18 +206,14 @@ def _draw(curves: Sequence[_Curve], baselines: dict[str, float]) -> Figure:
         axes.set_xlabel("simulated time, s")
     for axes in grid[:, 0]:
         set_measure_axis(axes, Pendulum.measure)
-    if any(c.course.median_is_bound.any() for c in curves):
-        grid[0, -1].set_title("○ at least this: most runs did not fall", loc="right", color=IDLE,
-                              fontsize=TINY, fontweight="normal")  # fmt: skip
     last = max(c.plan.steps for c in curves) * PLANT.time_step
     highest = max(_HIGHEST, 1.5 * max(c.course.values.max() for c in curves))
     grid[0, 0].set(
         ylim=(_LOWEST, highest), xlim=(min(_FIRST * PLANT.time_step, last / 100.0), last)
     )
-    figure.suptitle(
-        f"Pendulum: time to fall, each of {curves[0].plan.lanes} runs, and the median bold",
-        x=0.015, ha="left", fontsize=9.5, fontweight="bold",
-    )  # fmt: skip
+    lanes = curves[0].plan.lanes
+    each = f"each of {lanes} runs, and the median bold" if lanes > 1 else "1 run"
+    title(figure, f"Pendulum: time to fall, {each}")
     return figure
 
 
@@ -207,13 +224,9 @@ def _panel(axes: Axes, curve: _Curve, baselines: dict[str, float]) -> None:
         axes.axhline(baselines[line.key], color=IDLE, lw=0.9, ls=(0, line.dashes), zorder=1)
     draw_course(axes, curve.course, PLANT.time_step, shade)
     axes.set_xscale("log")
-    axes.set_title(f"preset {preset}", color=shade)
     gains = ", ".join(f"{i.gain:g}" for i in curve.plan.make_task().inputs[::2])
-    words = f"{words_of(curve.plan)}\ninput gains {gains}"
-    if preset == "literal":
-        words += f"\n\n{WHY_FLAT}"
-    axes.text(0.03, 0.96, words, transform=axes.transAxes, va="top", fontsize=SMALL, color=INK,
-              linespacing=1.35)  # fmt: skip
+    rule = fill(words_of(curve.plan), _LETTERS)
+    head(axes, f"preset {preset}", f"{rule}\ninput gains {gains}", shade)
 
 
 def _name_lines(axes: Axes, baselines: dict[str, float]) -> None:

@@ -36,8 +36,12 @@ WIDTH = 7.2
 """Inches: across both columns of a paper."""
 SMALL, TINY = 7.5, 6.0
 """Points."""
-_MARGIN, _FOOT, _PITCH = 0.12, 0.46, 0.12
-"""Inches: around the drawing, for the lines at its foot, and for one of them."""
+_MARGIN, _TITLE, _FOOT, _PITCH = 0.12, 0.24, 0.46, 0.12
+"""Inches: around the drawing, for a title above its panels, for the lines at its foot, and for one
+of them.
+"""
+_PAD = 7.0
+"""Points between a drawing and its title."""
 _ROWS = 3
 """Lines that the foot has room for; with more of them the figure is so much higher."""
 _LETTERS = 150
@@ -55,7 +59,7 @@ INK, FAINT, IDLE = color(LIGHT.ink), color(LIGHT.world), color(LIGHT.world_stron
 _LOOK: dict[str, Any] = {
     "font.family": "DejaVu Sans", "font.size": 8.5, "mathtext.fontset": "dejavusans",
     "text.color": INK, "axes.labelcolor": INK, "axes.edgecolor": IDLE, "axes.titlesize": 9.5,
-    "axes.titleweight": "bold", "axes.titlelocation": "left", "axes.titlepad": 7.0,
+    "axes.titleweight": "bold", "axes.titlelocation": "left", "axes.titlepad": _PAD,
     "axes.linewidth": 0.8, "axes.spines.top": False, "axes.spines.right": False,
     "axes.axisbelow": True, "axes.grid": True, "grid.color": FAINT, "grid.linewidth": 0.6,
     "xtick.color": IDLE, "ytick.color": IDLE, "xtick.labelcolor": INK, "ytick.labelcolor": INK,
@@ -108,10 +112,10 @@ def blank(height: float, *, width: float = WIDTH) -> Figure:
 
 
 def _leave_foot(figure: Figure, foot: float) -> None:
-    """Keep so many inches free below the drawing."""
+    """Keep so many inches free below the drawing, and above it those of a title of them all."""
     width, height = figure.get_size_inches()
-    edges = (_MARGIN / width, foot / height, 1 - 2 * _MARGIN / width,
-             1 - (foot + _MARGIN) / height)  # fmt: skip
+    top = _MARGIN + (_TITLE if figure.texts else 0.0)
+    edges = (_MARGIN / width, foot / height, 1 - 2 * _MARGIN / width, 1 - (foot + top) / height)
     engine = figure.get_layout_engine()
     assert isinstance(engine, ConstrainedLayoutEngine)
     engine.set(rect=edges)
@@ -163,6 +167,25 @@ def own_name(folder: Path, name: str, command: str) -> str:
 def _is_of_another(folder: Path, name: str, command: str) -> bool:
     table = folder / f"{name}.csv"
     return table.exists() and not table.read_bytes().startswith(f"# command: {command}\n".encode())
+
+
+def title(figure: Figure, words: str) -> None:
+    """Of a figure of several panels, below its upper margin."""
+    width, height = figure.get_size_inches()
+    figure.text(
+        _MARGIN / width, 1 - _MARGIN / height, words, va="top", fontsize=9.5, fontweight="bold"
+    )
+    _leave_foot(figure, _FOOT)
+
+
+def head(axes: Axes, title: str, words: str, shade: Color = INK) -> None:
+    """A title, and in small letters below it what is to be read with the drawing, off its grid."""
+    rows = words.count("\n") + 1
+    axes.set_title(title, color=shade, pad=_PAD + 1.45 * SMALL * rows)
+    axes.annotate(
+        words, (0, 1), (0, _PAD - 2), "axes fraction", "offset points", fontsize=SMALL,
+        va="bottom", linespacing=1.3, annotation_clip=False,
+    )  # fmt: skip
 
 
 def mark_end(

@@ -90,4 +90,6 @@ def _opening(sweep: Sweep, learner: Learner, name: str) -> str:
         path.parent.mkdir(exist_ok=True)
         files.save(learner, path, task_name=sweep.task)
     own = [] if sweep.task in TASKS else ["--task", sweep.task]
+    if sweep.rule is not None and ".py:" in sweep.rule:
+        own += ["--rule", sweep.rule]
     return shlex.join(["hebbviz", "--load", str(path), *own])

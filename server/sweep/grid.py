@@ -11,9 +11,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from hebbviz.limits import check_beta, check_gamma
-from server.experiments import Plan
+from server.experiments import Plan, options_of
 from server.figures.length import steps_of
-from server.figures.order import task_word
+from server.figures.order import said, task_word
 from server.making import DEFAULT_TASK
 from server.terminal import InputError
 from sims.loading import make_task
@@ -99,6 +99,8 @@ class Sweep:
     task: str = DEFAULT_TASK
     preset: str | None = None
     hidden: tuple[int, ...] | None = None
+    rule: str | None = None
+    fall: float | None = None
     lanes: int = LANES
     steps: int = STEPS
     seed: int = 0
@@ -126,6 +128,7 @@ class Sweep:
         return Plan(
             task=self.task, preset=self.preset, hidden=self.hidden, beta=beta, gamma=gamma,
             seed=self.seed, lanes=self.lanes, segments=PARTS, segment_steps=-(-self.steps // PARTS),
+            options=options_of(self),
         )  # fmt: skip
 
     def plans(self) -> list[Plan]:
@@ -142,8 +145,9 @@ class Sweep:
     def command(self) -> str:
         """The command that makes the map again."""
         network = ["--task", self.task, "--preset", str(self.preset)]
-        if self.hidden is not None:
-            network += ["--hidden", ",".join(map(str, self.hidden)) or "none"]
+        for option in ("hidden", "rule", "fall"):
+            if getattr(self, option) is not None:
+                network += [f"--{option}", said(getattr(self, option))]
         return shlex.join(
             ["hebbviz", "sweep", *network, "--beta", _listed(self.betas), "--gamma",
              _listed(self.gammas), "--lanes", str(self.lanes), "--steps", str(self.steps),
