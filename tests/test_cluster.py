@@ -194,6 +194,15 @@ def test_where_no_scheduler_answers_it_says_so(monkeypatch):
                 pass
 
 
+@pytest.mark.parametrize("wrong", ["nowhere", "tcp://127.0.0.1:abc", "tcp://h:0", "h:99999", ""])
+def test_what_is_no_address_is_refused_before_dask_is_asked(wrong, monkeypatch):
+    """Its client would hang on some of them, and complain once it is collected."""
+    monkeypatch.setattr("distributed.Client", None)
+    said = "that is no address, give one as tcp://HOST:PORT"
+    with pytest.raises(InputError, match=said), open_workers(wrong):
+        pass
+
+
 def test_without_dask_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r"pip install .hebbviz\[cluster\]"), open_workers("x:1"):

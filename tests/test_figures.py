@@ -25,6 +25,7 @@ from server.cli import main
 from server.experiments import Curves, Plan
 from server.experiments.share import Tile, bring_on
 from server.figures import learning, pendulum
+from server.figures.command import progress_bar
 from server.figures.curves import preset_note, set_measure_axis
 from server.figures.gradient import BETAS, STILL, Watched, Watching, angle_of_all
 from server.figures.length import Time
@@ -385,6 +386,19 @@ def test_a_yoked_control_is_drawn_from_lanes_that_touch(tmp_path, capsys):
     assert "rule yoked needs 2 lanes or more" in capsys.readouterr().err
     assert main([*argv, "--lanes", "3", "--out", str(tmp_path / "three")]) == 0
     assert json.loads(capsys.readouterr().out)["rule"] == "yoked"
+
+
+def test_the_time_that_compiling_takes_is_not_counted_on(capsys, monkeypatch):
+    """Half was done in the second after the first share: a second is left, not an hour."""
+    monkeypatch.setattr("server.figures.command._LOG_SECONDS", 0.0)
+    now = 1000.0
+    monkeypatch.setattr("tqdm.std.time", lambda: now)
+    with progress_bar("figure x") as progress:
+        for now, fraction in ((1000.0, 0.0), (4600.0, 0.01), (4601.0, 0.5)):  # noqa: B007
+            progress(fraction)
+        (*_, line) = capsys.readouterr().err.split("\r")
+        assert "50 %" in line
+        assert line.strip().endswith("00:01 gone, 00:01 left")
 
 
 SLOW_SHARES = """

@@ -9,6 +9,7 @@ import gc
 import logging
 import multiprocessing
 import os
+import re
 import signal
 import sys
 import threading
@@ -167,6 +168,11 @@ class _Cluster:
             from distributed import Client, KilledWorker
         except ImportError as error:
             raise InputError('--scheduler needs Dask: pip install "hebbviz[cluster]"') from error
+        if not _is_address(address):  # Dask's client would hang, and say so much later
+            raise InputError(
+                f"no Dask scheduler answers at {address}: that is no address, give one as "
+                "tcp://HOST:PORT"
+            )
         self._address, self._killed = address, KilledWorker
         for name in ("distributed", "distributed.client"):  # what matters comes as an exception
             logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -221,6 +227,14 @@ class _Cluster:
 
     def close(self) -> None:
         self._client.close(timeout=CONNECT_SECONDS)
+
+
+def _is_address(text: str) -> bool:
+    """Whether it has the form of a scheduler's address, HOST:PORT with or without a scheme."""
+    match = re.fullmatch(
+        r"(?:(?:tcp|tls|ws|wss|ucx)://)?(?:\[[^\]\s]+\]|[^\s:/\[\]]+):(\d{1,5})", text
+    )
+    return match is not None and 0 < int(match[1]) < 2**16
 
 
 def _submit(executor: Executor, plan: Plan, tile: Tile, digest: str) -> Future[Tile]:

@@ -25,7 +25,9 @@ from server.terminal import InputError, check_writable, reason
 from server.train import announced_on_terminal
 from sims.loading import make_task
 
+_BEGUN = "{desc} has begun"
 _BAR = "{desc} {percentage:3.0f} %|{bar}| {elapsed} gone, {remaining} left"
+_DONE = "{desc} {percentage:3.0f} %|{bar}|"
 _REDRAW_SECONDS, _LOG_SECONDS = 0.2, 15.0
 """Between two states of the bar, on a terminal and in a file."""
 
@@ -102,17 +104,28 @@ def unfinished(order: Order) -> Path:
 
 @contextlib.contextmanager
 def progress_bar(name: str) -> Iterator[Callable[[float], object]]:
-    """A bar on stderr with the time left, from the first fraction that is told."""
+    """A bar on stderr with the time left.
+
+    Its clock starts at the second fraction that is told: all is compiled by then, and what that
+    took tells nothing of the rest.
+    """
     bars: list[Any] = []
+    seconds = _REDRAW_SECONDS if sys.stderr.isatty() else _LOG_SECONDS
+
+    def bar(fraction: float, looks: str, *, leave: bool) -> Any:
+        return tqdm(
+            desc=name, total=1.0, initial=fraction, bar_format=looks, leave=leave, file=sys.stderr,
+            mininterval=seconds,
+        )  # fmt: skip
 
     def show(fraction: float) -> None:
         if not bars:
-            seconds = _REDRAW_SECONDS if sys.stderr.isatty() else _LOG_SECONDS
-            bars.append(
-                tqdm(desc=name, total=1.0, initial=fraction, bar_format=_BAR, file=sys.stderr,
-                     mininterval=seconds)
-            )  # fmt: skip
-        bars[0].update(fraction - bars[0].n)
+            bars.append(bar(fraction, _BEGUN, leave=False))
+        elif len(bars) == 1:
+            bars[0].close()
+            bars.append(bar(fraction, _BAR if fraction < 1.0 else _DONE, leave=True))
+        else:
+            bars[1].update(fraction - bars[1].n)
 
     try:
         yield show
