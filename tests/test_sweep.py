@@ -9,19 +9,25 @@ import signal
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from raw_client import wait_until
 
+from hebbviz import __version__
 from hebbviz.learner import Learner
+from hebbviz.task import Measure
 from server.cli import main
 from server.experiments import workers
+from server.figures.sheet import Origin, _made_by
 from server.making import make_learner
 from server.options import parse
+from server.sweep import heat_map
 from server.sweep.command import make
 from server.sweep.grid import Sweep, parse_betas, parse_gammas
+from server.sweep.outcome import Outcome
 from sims.loading import make_task
 
 ROOT = Path(__file__).parents[1]
@@ -196,6 +202,88 @@ def test_no_map_is_written_over_by_another_command(tmp_path, capsys, monkeypatch
     assert Path("sweep/sweep-sonar-4.csv").exists()
     for made in written.values():
         assert {file: Path(file).read_bytes() for file in made} == made
+
+
+def test_where_nothing_learns_none_is_best_and_it_is_said_before(tmp_path, capsys):
+    argv = ["sweep", "--task", "gradient", "--beta", "0,0.9", "--steps", "100", "--lanes", "2"]
+    assert main([*argv, "--out", str(tmp_path)]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["best"] is None
+    assert "γ = 1e-10 moves no weight in 100 steps, so that nothing is learnt: name larger" in err
+    assert main([*argv, "--out", str(tmp_path), "--gamma", "0.1"]) == 0
+    assert "moves no weight" not in capsys.readouterr().err
+
+
+def points_of(*rewards):
+    plan = SWEEP.untrained
+    return [Outcome(plan, np.array([r]), np.array([False]), np.array([r])) for r in rewards]
+
+
+def test_all_that_are_rewarded_most_are_framed_and_none_that_fails():
+    (untrained,) = points_of(0.5)
+    for rewards, best in (((0.5, 0.5), []), ((0.2, 0.9), [1]), ((0.9, 0.4, 0.9), [0, 2])):
+        assert heat_map._best(points_of(*rewards), untrained) == best
+
+
+@pytest.mark.parametrize(
+    ("values", "written"),
+    [
+        ((0.59, 0.6, 0.628), ["0.590", "0.600", "0.628"]),
+        ((9.53, 53.21, 0.0), ["9.5", "53.2", "0.0"]),
+        ((120.0, 3.0), ["120", "3"]),
+    ],
+)
+def test_cells_of_a_map_have_the_same_decimals(values, written):
+    points = points_of(*values)
+    for measure, expected in (
+        (Measure("m", "m"), written),
+        (
+            Measure("m", "m", span=(0.1, 10.0), logarithmic=True),
+            [f"{v:#.3g}".rstrip(".") for v in values],
+        ),
+    ):
+        assert [heat_map._digits(measure, points)(v) for v in values] == expected
+
+
+def test_the_whole_command_is_in_the_picture():
+    sweep = replace(SWEEP, gammas=parse_gammas("1e-4:1:60"))
+    rows = _made_by(Origin(sweep.command, 4))
+    assert " ".join(rows).replace(", ", ",") == f"{sweep.command} · hebbviz {__version__} · seed 4"
+    longest = _made_by(Origin(replace(SWEEP, gammas=parse_gammas("1e-4:1:500")).command, 4))
+    assert longest[-1] == f"… (all of it is inside this file) · hebbviz {__version__} · seed 4"
+    assert max(map(len, [*rows, *longest])) <= 150
+
+
+def test_a_rule_of_ones_own_is_mapped_and_its_points_can_be_opened(tmp_path, capsys):
+    own = tmp_path / "own.py"
+    own.write_text(OWN_RULE)
+    argv = ["sweep", "--task", "sonar", "--hidden", "3", "--lanes", "2", "--steps", "5000",
+            "--gamma", "0.01", "--fall", "1e4", "--out", str(tmp_path)]  # fmt: skip
+    assert main([*argv, "--rule", f"{own}:Half"]) == 0
+    says = json.loads(capsys.readouterr().out)
+    assert Sweep.of(parse(shlex.split(says["command"])[1:])).rule == f"{own}:Half"
+    (point,) = says["points"]
+    learner = make_learner(parse(shlex.split(point["open"])[1:]))
+    assert (str(learner.rule), learner.fall, learner.step) == ("half", 1e4, 5000)
+    assert main([*argv, "--rule", "paper", "--gamma", "0.005"]) == 0
+    (paper,) = json.loads(capsys.readouterr().out)["points"]
+    assert point["median"] == pytest.approx(paper["median"], abs=1.0)
+    assert main([*argv, "--rule", "yoked"]) == 0, "lanes that touch each other are opened together"
+    (point,) = json.loads(capsys.readouterr().out)["points"]
+    assert make_learner(parse(shlex.split(point["open_start"])[1:])).lanes == 2
+
+
+OWN_RULE = """
+from hebbviz.rules import Rule
+
+class Half(Rule):
+    name = "half"
+
+    @staticmethod
+    def modulate(memory, constants, reward, ended, sent):
+        for lane in range(len(reward)):
+            sent[lane] = 0.5 * reward[lane]
+"""
 
 
 @pytest.mark.slow

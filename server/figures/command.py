@@ -130,5 +130,5 @@ def progress_bar(name: str) -> Iterator[Callable[[float], object]]:
     try:
         yield show
     finally:
-        for bar in bars:
-            bar.close()
+        for shown in bars:
+            shown.close()

@@ -11,11 +11,12 @@ import contextlib
 import csv
 import io
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from textwrap import shorten, wrap
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
@@ -45,7 +46,9 @@ _PAD = 7.0
 _ROWS = 3
 """Lines that the foot has room for; with more of them the figure is so much higher."""
 _LETTERS = 150
-"""Letters in a line of the small print; the whole of a longer command is inside the files."""
+"""Letters in a line of the small print."""
+_MOST_ROWS = 8
+"""Lines of a command; all of a longer one is inside the files."""
 
 
 def color(rgb: Rgb) -> Color:
@@ -129,9 +132,10 @@ def save(sheet: Sheet, folder: Path, name: str, origin: Origin) -> list[Path]:
     about = origin.items()
     with look():
         said = [row for line in sheet.note.splitlines() for row in wrap(line, _LETTERS)]
-        _make_room(sheet.drawing, len(said) + 1)
+        made_by = _made_by(origin)
+        _make_room(sheet.drawing, len(said) + len(made_by))
         _settle(sheet.drawing)
-        _small_print(sheet.drawing, origin, said)
+        _small_print(sheet.drawing, made_by, said)
         png, svg = io.BytesIO(), io.BytesIO()
         title = {"Title": f"hebbviz figure {name}"}
         software = {"Software": f"hebbviz {origin.version}"}
@@ -218,14 +222,25 @@ def _settle(figure: Figure) -> None:
         axes.set_position((round(left, 4), round(bottom, 4), round(width, 4), round(height, 4)))
 
 
-def _small_print(figure: Figure, origin: Origin, said: Sequence[str]) -> None:
+def _made_by(origin: Origin) -> list[str]:
+    """The lines of the origin; values are broken at commas as words are at spaces."""
+    about = f"· hebbviz {origin.version} · seed {origin.seed}"
+    rows = [""]
+    for word in re.findall(r"[^ ,]*[ ,]?", f"{origin.command} {about}"):
+        if len(rows[-1] + word.rstrip()) > _LETTERS:
+            rows.append("")
+        rows[-1] += word
+    if len(rows) > _MOST_ROWS:
+        rows[_MOST_ROWS - 1 :] = [f"… (all of it is inside this file) {about}"]
+    return [row.rstrip() for row in rows]
+
+
+def _small_print(figure: Figure, made_by: Sequence[str], said: Sequence[str]) -> None:
     width, height = figure.get_size_inches()
-    about = f" · hebbviz {origin.version} · seed {origin.seed}"
-    line = shorten(origin.command, _LETTERS - len(about), placeholder=" …") + about
-    for row, text in enumerate((line, *reversed(said))):
+    for row, text in enumerate(reversed([*said, *made_by])):
         figure.text(
             _MARGIN / width, (0.08 + _PITCH * row) / height, text, fontsize=TINY,
-            color=IDLE if row == 0 else INK, ha="left", va="bottom", in_layout=False,
+            color=IDLE if row < len(made_by) else INK, ha="left", va="bottom", in_layout=False,
         )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from server.figures.sheet import Origin, own_name, save
 from server.sweep.grid import Sweep
 from server.sweep.heat_map import sheet
 from server.sweep.outcome import outcome
-from server.terminal import writing
+from server.terminal import tell, writing
 from server.train import announced_on_terminal
 from sims import TASKS
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from server.experiments import Done
     from server.sweep.outcome import Outcome
 
+_MOVES = 0.01
+"""γ times steps, below which weights stay where they are: r and z are about 1 at most."""
 KEPT = "runs"
 """What was run stays in a folder of this name: a finer map goes on from it."""
 
@@ -39,6 +41,11 @@ def make(
     OSError for what the user can mend.
     """
     about = setting(sweep.untrained)  # finds out whether it can be run at all
+    if 0.0 < max(sweep.gammas) * sweep.steps < _MOVES:
+        tell(
+            f"γ = {max(sweep.gammas):g} moves no weight in {sweep.steps:,} steps, so that nothing "
+            "is learnt: name larger ones with --gamma"
+        )
     prepare_folder(out)
     task = sweep.untrained.make_task()
     began = time.perf_counter()

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import Rectangle
 
-from server.figures.curves import lane_columns, shown, words_of
-from server.figures.sheet import IDLE, INK, SMALL, Sheet, Table, blank, look
+from hebbviz.rules.paper import PAPER
+from server.figures.curves import lane_columns, runs, setting, shown
+from server.figures.sheet import INK, SMALL, Sheet, Table, blank, head, look
 from server.terminal import finite
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Of red, green and blue."""
-_CELL, _LEAST_HEIGHT, _AROUND = 0.42, 2.6, 1.4
+_CELL, _LEAST_HEIGHT, _AROUND = 0.42, 2.7, 1.5
 """Inches: of a cell, of the drawing, and of what is around the cells."""
 _MOST_WORDS = 12
 """Cells in a row that still have room for words."""
@@ -39,20 +41,50 @@ def sheet(
     """The map of points, β by β; `more` is what their table says besides."""
     with look():
         figure = _draw(sweep, task, points, untrained)
-    best = max(points, key=lambda p: float(np.median(p.reward)))
+    best = next((_named(points[k]) for k in _best(points, untrained)), None)
     numbers = {
-        "best": {"beta": best.plan.beta, "gamma": best.plan.gamma, "median": finite(best.median)},
+        "best": best,
         "untrained_median": finite(untrained.median),
         "points": [
             {**about(p, untrained), **m} for p, m in zip(points, more, strict=True)
         ],
     }  # fmt: skip
+    medians = "The last fifth" if sweep.lanes == 1 else "Medians, over the last fifth,"
     note = (
-        f"Medians of {sweep.lanes} runs of {untrained.plan.steps:,} steps, last fifth; "
-        f"untrained {untrained.median:.3g}; fail: rewarded no more than the luckiest "
-        "untrained one; framed: rewarded most."
+        f"{medians} of {runs(sweep.lanes)} of {untrained.plan.steps:,} steps; untrained "
+        f"{_digits(task.measure, [untrained])(untrained.median)}; fail: rewarded no more than the "
+        f"luckiest untrained one; {'framed: rewarded most.' if best else 'none is rewarded more.'}"
     )
     return Sheet(figure, _table(task, points, untrained, more), numbers, note)
+
+
+def _best(points: Sequence[Outcome], untrained: Outcome) -> list[int]:
+    """The places of those that are rewarded most; none if all their runs fail."""
+    rewards = [float(np.median(p.reward)) for p in points]
+    return [
+        k for k, p in enumerate(points)
+        if rewards[k] == max(rewards) and p.failing(untrained) < 1.0
+    ]  # fmt: skip
+
+
+def _named(point: Outcome) -> dict[str, Any]:
+    return {"beta": point.plan.beta, "gamma": point.plan.gamma, "median": finite(point.median)}
+
+
+def _digits(measure: Measure, points: Sequence[Outcome]) -> Callable[[float], str]:
+    """How medians are written: three digits of the largest, and of all others as many decimals; on
+    a logarithmic scale three digits of each.
+    """
+    most = max(abs(p.median) for p in points)
+    decimals = 2 - math.floor(math.log10(most)) if 0.0 < most < math.inf else 2
+
+    def write(value: float) -> str:
+        if measure.logarithmic or not -3 < decimals < 6:
+            digits, e, exponent = f"{value:#.3g}".partition("e")
+            return f"{digits.rstrip('.')}{e}{exponent}"
+        return f"{value:.{max(0, decimals)}f}"
+
+    return write
 
 
 def about(point: Outcome, untrained: Outcome) -> dict[str, Any]:
@@ -91,12 +123,14 @@ def _draw(sweep: Sweep, task: Task, points: Sequence[Outcome], untrained: Outcom
     unit = f", {task.measure.unit}" if task.measure.unit else ""
     figure.colorbar(image, ax=axes, label=f"{task.measure.name}{unit}", pad=0.02)
     if columns <= _MOST_WORDS:
-        _write_cells(axes, points, untrained, image)
-    _mark_best(axes, points, columns)
-    network = words_of(sweep.untrained).partition(",")[0]
-    axes.set_title(f"{task.name}: β against γ")
-    axes.set_title(f"{network}, preset {task.preset_name}", loc="right", fontsize=SMALL,
-                   fontweight="normal", color=IDLE)  # fmt: skip
+        _write_cells(axes, points, untrained, image, _digits(task.measure, points))
+    for k in _best(points, untrained):
+        _frame(axes, *divmod(k, columns))
+    about = setting(sweep.untrained)
+    rule = "" if about["rule"] == PAPER.name else f", rule {about['rule']}"
+    falls = "" if about["fall"] is None else f", γ falling over {about['fall']:,.12g} steps"
+    words = f"{about['network']}, preset {task.preset_name}{rule}{falls}"
+    head(axes, f"{task.name}: β against γ", words)
     return figure
 
 
@@ -116,8 +150,9 @@ def _norm(measure: Measure, medians: NDArray[np.float64]) -> Normalize:
 
 
 def _write_cells(
-    axes: Axes, points: Sequence[Outcome], untrained: Outcome, image: AxesImage
-) -> None:
+    axes: Axes, points: Sequence[Outcome], untrained: Outcome, image: AxesImage,
+    digits: Callable[[float], str],
+) -> None:  # fmt: skip
     """The median, and below it the lanes that fail."""
     shades = image.cmap(image.norm(np.array([p.median for p in points])))
     columns = round(image.get_extent()[1] + 0.5)
@@ -126,12 +161,10 @@ def _write_cells(
         ink = INK if shade[:3] @ _LUMINANCE > 0.45 else "white"
         least = "≥ " if point.median_is_bound else ""
         failing = point.failing(untrained)
-        words = f"{least}{point.median:.3g}" + (f"\n{failing:.0%} fail" if failing else "")
+        words = f"{least}{digits(point.median)}" + (f"\n{failing:.0%} fail" if failing else "")
         axes.text(x, y, words, color=ink, fontsize=SMALL, ha="center", va="center")
 
 
-def _mark_best(axes: Axes, points: Sequence[Outcome], columns: int) -> None:
-    """A frame around the cell that is rewarded most."""
-    best = int(np.argmax([np.median(p.reward) for p in points]))
-    y, x = divmod(best, columns)
+def _frame(axes: Axes, y: int, x: int) -> None:
+    """Around a cell."""
     axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, ec=INK, lw=2.0, clip_on=False))
