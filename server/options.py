@@ -351,7 +351,9 @@ def _add_figure(commands: Any) -> None:
         help="random seed (default %(default)s)",
     )  # fmt: skip
     figure.add_argument(
-        "--quick", action="store_true", help="a small version in less than a minute, to try it"
+        "--quick",
+        action="store_true",
+        help="a small version in less than a minute, once compiled, to try it",
     )
     _add_scheduler(figure)
     learning = figure.add_argument_group("of figure learning")

@@ -31,7 +31,7 @@ from server.figures.gradient import BETAS, STILL, Watched, Watching, angle_of_al
 from server.figures.length import Time
 from server.figures.order import KINDS, Order
 from server.figures.scales import Course, even_course
-from server.figures.sheet import Origin, Sheet, blank, look, save
+from server.figures.sheet import Origin, Sheet, apart, blank, look, save
 from server.options import parse
 from sims import TASKS
 from sims.lamps import small_example
@@ -496,6 +496,7 @@ def test_a_task_that_breaks_is_told_with_the_place_as_train_tells_it(tmp_path, c
     assert main(["figure", "learning", *task, "--quick", "--out", str(tmp_path / "out")]) == 2
     line = capsys.readouterr().err.splitlines()[-1]
     assert line == f"{trained[0]}{place}"
+    assert not (tmp_path / "out").exists(), "an empty folder is left"
 
 
 def test_a_task_may_be_written_in_another_encoding(tmp_path):
@@ -537,6 +538,16 @@ def test_stretches_without_an_end_grow_along_the_curve(tmp_path):
     lengths = np.diff(columns["step"], prepend=0)
     assert lengths[-1] > 10 * lengths[0]
     assert columns["step"][-1] == 3000
+
+
+@pytest.mark.parametrize("places", [(1.0, 1.0, 1.1), (3.0, 1.0, 2.0), (0.0, 0.05, 0.9, 1.0, 5.0)])
+def test_labels_stand_apart_in_the_order_of_what_they_name(places):
+    found = apart(places, 0.2)
+    assert np.array_equal(np.argsort(found, kind="stable"), np.argsort(places, kind="stable"))
+    assert np.diff(np.sort(found)).min() > 0.2 - 1e-12
+    assert found.mean() == pytest.approx(np.mean(places))
+    far = [k for k, p in enumerate(places) if sum(abs(p - q) < 0.3 for q in places) == 1]
+    assert all(found[k] == places[k] for k in far)
 
 
 @pytest.mark.parametrize("value", [1e200, -3.0, 0.0])

@@ -82,6 +82,7 @@ def test_what_it_refuses(options, said, tmp_path, capsys, monkeypatch):
     err = [line for line in capsys.readouterr().err.splitlines() if line.startswith("hebbviz: ")]
     assert code == 2
     assert said in err[-1]
+    assert not (tmp_path / "out").exists(), "an empty folder is left"
 
 
 def test_asked_for_nothing_it_maps_the_default_task_into_a_folder_of_its_own(

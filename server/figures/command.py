@@ -60,7 +60,11 @@ def make(order: Order, stop: threading.Event) -> dict[str, Any] | None:
     """
     kind = KINDS[order.name]
     steps_of(order, make_task(order.task or kind.task, order.preset), least=kind.least)
-    prepare_folder(order.out)
+    with results_in(order.out):
+        return _made(order, stop)
+
+
+def _made(order: Order, stop: threading.Event) -> dict[str, Any] | None:
     check_replaces(order.out, order.file, order.command)
     began = time.perf_counter()
     folder = unfinished(order)
@@ -78,15 +82,26 @@ def make(order: Order, stop: threading.Event) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def prepare_folder(folder: Path) -> None:
-    """Make the folder for results; raises InputError if nothing can be written there."""
+@contextlib.contextmanager
+def results_in(folder: Path) -> Iterator[None]:
+    """Make the folder for results, and take it away again if none came.
+
+    Raises InputError if nothing can be written there.
+    """
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(
             f"cannot make the folder {folder}: {reason(error)}; choose another for --out"
         ) from error
-    check_writable(folder)
+    try:
+        check_writable(folder)
+        yield
+    finally:
+        with contextlib.suppress(OSError):  # it is not empty, as it should be
+            for path in made:
+                path.rmdir()
 
 
 def draw(order: Order, work: Work) -> Sheet:

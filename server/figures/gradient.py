@@ -22,7 +22,18 @@ from hebbviz.truth import GradientTruth, angle_between, degrees_of
 from server import palette
 from server.experiments import Curves, Plan
 from server.figures.scales import scales, spaced
-from server.figures.sheet import INK, SMALL, Sheet, Table, blank, color, look, mark_end
+from server.figures.sheet import (
+    INK,
+    Sheet,
+    Table,
+    apart,
+    blank,
+    color,
+    dark,
+    head,
+    look,
+    mark_end,
+)
 from sims.lamps import Lamps, small_example
 
 if TYPE_CHECKING:
@@ -44,7 +55,11 @@ _TOGETHER = (
 
 _POINTS = 100
 """Evaluations of a plan."""
-_COLORS = tuple(color(palette.SERIES[k]) for k in (4, 1, 3, 2, 5, 0))
+_COLORS = (*(color(palette.SERIES[k]) for k in (4, 1, 3, 2, 5)), INK)
+_LOW, _HIGH = 0.1, 130.0
+"""Degrees: ends of the axis."""
+_LABEL = 0.15
+"""Decades of the axis that a label takes."""
 
 
 class Watched(Lamps):
@@ -176,24 +191,24 @@ def _draw(courses: list[_Course], lanes: int) -> Figure:
     figure = blank(4.2)
     axes = figure.add_subplot()
     last = courses[0].steps[-1]
-    for c, shade in zip(courses, _COLORS, strict=True):
+    stands = 10.0 ** apart(np.log10([max(c.of_all[-1], _LOW) for c in courses]), _LABEL)
+    for c, shade, stand in zip(courses, _COLORS, stands, strict=True):
         mean, sd = c.angle.mean(axis=0), c.angle.std(axis=0)
-        axes.fill_between(c.steps, np.maximum(mean - sd, 0.1), mean + sd, color=shade, alpha=0.18,
+        axes.fill_between(c.steps, np.maximum(mean - sd, _LOW), mean + sd, color=shade, alpha=0.18,
                           lw=0)  # fmt: skip
-        axes.plot(c.steps, c.expected, color=INK, lw=0.7, ls=(0, (4, 2)), alpha=0.7, zorder=4)
+        axes.plot(c.steps, c.expected, color=dark(shade), lw=0.9, ls=(0, (4, 2)), zorder=4)
         axes.plot(c.steps, c.of_all, color=shade, zorder=3)
         axes.axhline(c.bias, color=shade, lw=1.0, ls=(0, (1, 1.6)), zorder=1)
-        mark_end(axes, float(last), c.bias, f"β = {c.beta:g}", shade)
-    axes.set(xscale="log", yscale="log", xlim=(100, last), ylim=(0.1, 130),
+        mark_end(axes, float(last), stand, f"β = {c.beta:g}", dark(shade))
+    axes.set(xscale="log", yscale="log", xlim=(100, last), ylim=(_LOW, _HIGH),
              xlabel="steps t of the running mean of r z",
              ylabel="angle to the exact gradient, degrees")  # fmt: skip
     ticks = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 45, 90)
     axes.set_yticks(ticks, [f"{t:g}" for t in ticks])
-    axes.set_title("The rule's estimate of the gradient: short traces are biased, long ones noisy")
-    axes.text(
-        0.012, 0.03,
-        f"line: {lanes} independent estimates together; band: mean ± standard deviation of them\n"
-        "dashed: the line as it is expected at t steps, dotted: the bias of each β, both computed",
-        transform=axes.transAxes, fontsize=SMALL, va="bottom", linespacing=1.4,
+    together = f"{lanes} independent estimates together; band: mean ± standard deviation of them"
+    head(
+        axes, "The rule's estimate of the gradient: short traces are biased, long ones noisy",
+        f"line: {together if lanes > 1 else 'one estimate'}\n"
+        "dashed: the line as it is expected at t steps; dotted: the bias of each β; both computed",
     )  # fmt: skip
     return figure

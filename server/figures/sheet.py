@@ -20,8 +20,10 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from numpy.typing import NDArray
 
 from hebbviz import __version__
 from server.palette import LIGHT, Rgb
@@ -55,6 +57,12 @@ def color(rgb: Rgb) -> Color:
     """A colour of the page's palette, as matplotlib wants it."""
     r, g, b = rgb
     return r / 255.0, g / 255.0, b / 255.0
+
+
+def dark(shade: Color) -> Color:
+    """A shade of it for small letters and for thin lines on its own colour."""
+    r, g, b = shade
+    return 0.62 * r, 0.62 * g, 0.62 * b
 
 
 INK, FAINT, IDLE = color(LIGHT.ink), color(LIGHT.world), color(LIGHT.world_strong)
@@ -202,6 +210,20 @@ def mark_end(
         text, (x, y), (5, 0), textcoords="offset points", va=stands, color=shade, fontsize=SMALL,
         annotation_clip=False,
     )  # fmt: skip
+
+
+def apart(places: Sequence[float] | NDArray[np.float64], gap: float) -> NDArray[np.float64]:
+    """Places (n,) moved as little as can be, all of a crowd alike, to be `gap` or more apart."""
+    order = np.argsort(places, kind="stable")
+    crowds: list[NDArray[np.float64]] = []
+    for place in np.asarray(places, dtype=float)[order]:
+        crowds.append(np.array([place]))
+        while len(crowds) > 1 and crowds[-1][0] - crowds[-2][-1] < gap:
+            last = np.concatenate([crowds.pop(-2), crowds.pop()])
+            crowds.append(last.mean() + gap * (np.arange(len(last)) - (len(last) - 1) / 2))
+    found = np.empty(len(order))
+    found[order] = np.concatenate(crowds)
+    return found
 
 
 def _make_room(figure: Figure, rows: int) -> None:

@@ -11,15 +11,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from server import palette
 from server.experiments import Curves, Plan
-from server.figures.curves import lane_columns, preset_note, setting, words_of
+from server.figures.curves import count_axis, lane_columns, preset_note, runs, setting, words_of
 from server.figures.length import cut, steps_of
-from server.figures.sheet import INK, SMALL, Sheet, Table, blank, color, look, mark_end
-from sims.sonar import Sonar
+from server.figures.sheet import Sheet, Table, blank, color, head, look, mark_end
+from sims.sonar import HOLD, Sonar
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,6 +30,11 @@ Array = NDArray[np.float64]
 
 BACK_PROPAGATION = {"training_error": 0.003, "test_error": 0.165}
 """Gorman and Sejnowski, 6 hidden units, fractions of patterns."""
+
+FROZEN = (
+    "A frozen copy is the network as it stands, but that it does not learn. It sees each pattern "
+    f"of a set for {HOLD:,} steps, and the share of its wrong answers is its error."
+)
 
 _EVALUATIONS = 50
 _WORDS = 6.0
@@ -70,10 +74,10 @@ def make(order: Order, work: Work) -> Sheet:
         figure = _draw(plan, curves, task)
     done = plan.steps // task.epoch
     quick = (
-        f"quick: preset {plan.preset}, {plan.lanes} runs of {done} epochs in place of preset "
+        f"quick: preset {plan.preset}, {runs(plan.lanes)} of {done} epochs in place of preset "
         f"{_FULL.preset}, {_FULL.lanes} runs of {_FULL.epochs:,}\n"
     )
-    notes = (quick if order.quick else "") + preset_note(plan)
+    notes = f"{quick if order.quick else ''}{preset_note(plan)}\n{FROZEN}"
     return Sheet(figure, _table(curves, task), _numbers(plan, curves, task), notes)
 
 
@@ -129,17 +133,14 @@ def _draw(plan: Plan, curves: Curves, task: Sonar) -> Figure:
         mark_end(axes, epochs[-1], mean[-1], said, shade, stands=stands[name])
         axes.axhline(100.0 * BACK_PROPAGATION[name], color=shade, lw=1.0, ls=(0, (1, 1.6)))
     axes.set(
-        xlim=(0, epochs[-1]), ylim=(0, 55), ylabel="error of a frozen copy, %",
+        xlim=(0, epochs[-1]), ylim=(-1.5, 55), ylabel="error of a frozen copy, %",
         xlabel=f"epochs of 187 patterns, {task.hold:,} steps each",
     )  # fmt: skip
-    axes.xaxis.set_major_locator(MaxNLocator(10, integer=True))
-    axes.set_title(f"Sonar: mines or rocks, mean ± standard deviation of {plan.lanes} runs")
-    axes.text(
-        0.985, 0.965,
+    count_axis(axes.xaxis)
+    spread = f"mean ± standard deviation of {plan.lanes} runs" if plan.lanes > 1 else "1 run"
+    head(
+        axes, f"Sonar: mines or rocks, {spread}",
         f"preset {plan.preset}: {words_of(plan)}\n"
-        "dotted: back-propagation, 6 hidden units (Gorman and Sejnowski 1988),\n"
-        f"{references} %",
-        transform=axes.transAxes, ha="right", va="top", fontsize=SMALL, color=INK, linespacing=1.4,
-        bbox={"fc": "white", "ec": "none", "pad": 2.0},
+        f"dotted: back-propagation, 6 hidden units (Gorman and Sejnowski 1988), {references} %",
     )  # fmt: skip
     return figure

@@ -13,8 +13,20 @@ from matplotlib.patches import Circle, Polygon, Rectangle
 
 from hebbviz.learner import Learner
 from server import palette
-from server.figures.sheet import FAINT, IDLE, INK, SMALL, TINY, Color, Sheet, blank, color, look
-from sims.synapse import SCRIPT, Synapse
+from server.figures.sheet import (
+    FAINT,
+    IDLE,
+    INK,
+    SMALL,
+    TINY,
+    Color,
+    Sheet,
+    blank,
+    color,
+    dark,
+    look,
+)
+from sims.synapse import REWARD, SCRIPT, Synapse
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,7 +86,18 @@ def make(order: Order, work: Work) -> Sheet:
         figure = _draw(moments)
     names = Moment.__dataclass_fields__
     table = {n: [_plain(getattr(m, n)) for m in moments] for n in names}
-    return Sheet(figure, table, _numbers(moments))
+    return Sheet(figure, table, _numbers(moments), _note())
+
+
+def _note() -> str:
+    """All that Δw can be reckoned by."""
+    preset = Synapse(PRESET).preset
+    return (
+        "Each step: z ← β z + (u − σ(w u′)) u′, then w ← w + γ r z; u′ and u are 1 where the pre- "
+        "and, a step later, the postsynaptic neuron fired, else 0.\n"
+        f"β = {preset.beta:g}, γ = {preset.gamma:g}; r = {REWARD:g} where it stands, else 0: "
+        f"Δw = {preset.gamma * REWARD:g} z. There is no chance in it, whatever the seed."
+    )
 
 
 def _plain(value: Any) -> Any:
@@ -116,10 +139,10 @@ def _draw(moments: list[Moment]) -> Figure:
 def _time(axes: Axes) -> None:
     """An arrow down the left side."""
     axes.axis("off")
-    axes.annotate("", (-0.066, 0.06), (-0.066, 0.97), "axes fraction", "axes fraction",
+    axes.annotate("", (-0.084, 0.06), (-0.084, 0.97), "axes fraction", "axes fraction",
                   annotation_clip=False,
                   arrowprops={"arrowstyle": "-|>", "color": IDLE, "lw": 1.0})  # fmt: skip
-    axes.text(-0.083, 0.985, "time", transform=axes.transAxes, fontsize=SMALL, color=IDLE)
+    axes.text(-0.1, 0.985, "time", transform=axes.transAxes, fontsize=SMALL, color=IDLE)
 
 
 _PRE, _POST, _PRE_SIZE, _POST_SIZE = -1.7, 1.25, 0.42, 0.8
@@ -145,8 +168,8 @@ def _panel(axes: Axes, m: Moment, most: float, words: str) -> None:
 def _neuron(axes: Axes, x: float, size: float, *, fired: bool) -> None:
     """A cell body; one that fires is lit, and an action potential leaves along its axon."""
     if fired:
-        for k, alpha in ((1.45, 0.16), (1.22, 0.28)):
-            axes.add_patch(Circle((x, 0), size * k, color=_SPIKE, alpha=alpha, lw=0, zorder=1,
+        for wide, alpha in ((0.19, 0.16), (0.09, 0.28)):  # no number lies on it
+            axes.add_patch(Circle((x, 0), size + wide, color=_SPIKE, alpha=alpha, lw=0, zorder=1,
                                     clip_on=False))  # fmt: skip
     face, edge = (_SPIKE, _SPIKE_EDGE) if fired else (_BODY, IDLE)
     axes.add_patch(Circle((x, 0), size, fc=face, ec=edge, lw=1.2, zorder=3))
@@ -174,7 +197,7 @@ def _synapse(axes: Axes, m: Moment) -> None:
     change = m.weight - m.weight_before
     said = f"w {m.weight:.2f}" + (f"  Δw {change:+.2f}" if change else "")
     axes.text(touch + 0.05, -0.62, said.replace("-", "−"), fontsize=TINY, ha="right", va="top",
-              color=_STRENGTH)  # fmt: skip
+              color=dark(_STRENGTH))  # fmt: skip
 
 
 def _ending(weight: float) -> float:
@@ -199,8 +222,9 @@ def _level(axes: Axes, share: float, trace: float) -> None:
     axes.add_patch(
         Rectangle((left, -half), 2 * _WIDE, 2 * half, fc="none", ec=INK, lw=0.9, zorder=7)
     )
-    axes.text(_POST + _POST_SIZE * 0.7, -0.76, f"z {trace:+.2f}".replace("-", "−"), ha="left",
-              fontsize=TINY, va="center", color=_RISEN if trace >= 0 else _FALLEN)  # fmt: skip
+    shade = dark(_RISEN if trace >= 0 else _FALLEN)
+    axes.text(_POST + _POST_SIZE * 0.87, -0.81, f"z {trace:+.2f}".replace("-", "−"), ha="left",
+              fontsize=TINY, va="center", color=shade)  # fmt: skip
 
 
 def _reward(axes: Axes) -> None:
@@ -233,7 +257,7 @@ def _course(axes: Axes, moments: list[Moment]) -> None:
     axes.set(xlim=(0.5, len(moments) + 0.5), ylim=(low, high))
     axes.set_xticks(steps, [f"({m.letter})" if m.letter else str(m.step) for m in moments])
     axes.tick_params(axis="x", length=0, labelsize=SMALL)
-    axes.set_xlabel("step")
+    axes.set(xlabel="step", ylabel="z (bars), w (line)")
     axes.grid(visible=False)
-    axes.text(0.7, moments[0].weight_before + 0.05, "w", color=_STRENGTH, fontsize=SMALL)
-    axes.text(2.5, 0.3, "z", color=_RISEN, fontsize=SMALL)
+    axes.text(0.7, moments[0].weight_before + 0.05, "w", color=dark(_STRENGTH), fontsize=SMALL)
+    axes.text(2.5, 0.3, "z", color=dark(_RISEN), fontsize=SMALL)

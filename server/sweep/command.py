@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import hebbviz
 from hebbviz import files
 from server.experiments import Interrupted, finish, open_workers
-from server.figures.command import prepare_folder, progress_bar
+from server.figures.command import progress_bar, results_in
 from server.figures.curves import setting
 from server.figures.sheet import Origin, own_name, save
 from server.sweep.grid import Sweep
@@ -46,7 +46,13 @@ def make(
             f"γ = {max(sweep.gammas):g} moves no weight in {sweep.steps:,} steps, so that nothing "
             "is learnt: name larger ones with --gamma"
         )
-    prepare_folder(out)
+    with results_in(out):
+        return _made(sweep, out, stop, scheduler, about)
+
+
+def _made(
+    sweep: Sweep, out: Path, stop: threading.Event, scheduler: str | None, about: dict[str, Any]
+) -> dict[str, Any] | None:
     task = sweep.untrained.make_task()
     began = time.perf_counter()
     try:
