@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from viser import uplot
 
 from server.palette import Rgb, css
+from server.widgets import assign
 
 Array = NDArray[np.float64]
 Points = tuple[Array, Array]
@@ -27,10 +28,17 @@ SHRINK_DRAWINGS = 40
 """A vertical axis is made smaller when the curves did with this share of it so many times."""
 ROOM = 0.25
 """Left free above and below, as a share of the curves' height, so that they seldom leave."""
+FLAT = 1e-3
+"""Curves that differ by less than this share of their values are drawn flat."""
+NOTHING, ROOM_OF_NOTHING = 1e-12, 0.4
+"""Curves below the first are 0, and have room for values to come."""
+WHOLE = (1.0, 2.0, 5.0, *(m * 10.0**k for k in range(1, 15) for m in (1, 2, 2.5, 5)))
+"""Between the numbers of an axis of steps: there is no half a step."""
 MOST_DECADES = 4
 """Of a logarithmic axis of steps: uPlot writes the numbers of more than these over each other."""
 MARK_HEIGHT = 0.03
 MARK: Rgb = (150, 150, 160)
+CHANGED = "changed"
 CURSOR: Rgb = (240, 72, 112)
 
 
@@ -46,9 +54,13 @@ NO_MORE: Mapping[str, Rgb] = {}
 NO_WIDTHS: Mapping[str, float] = {}
 NO_BANDS: Mapping[str, tuple[Points, Points]] = {}
 
-BAND_EDGE = "hebbviz-band-edge"
-QUIET_EDGES = f"<style>.{BAND_EDGE} {{ display: none; }}</style>"
-"""Keeps the edges of bands out of the legends; a page with bands needs it once."""
+UNNAMED = "hebbviz-unnamed"
+LEGENDS = f"""<style>.{UNNAMED} {{ display: none; }}
+.u-legend {{ pointer-events: none; }}</style>"""
+"""Keeps edges of bands, and what has no points yet, out of the legends, in which nothing can be
+switched off: the next drawing would bring it back. A page needs it once.
+"""
+NO_POINTS: Points = np.zeros(0), np.zeros(0)
 BAND_STRENGTH = 0.3
 
 
@@ -56,9 +68,13 @@ class Chart:
     """A chart with fixed series, named and coloured; `draw` gives the points of each.
 
     `container` is the tab or folder it stands in. Without a `span` its vertical axis holds still
-    until the curves leave it, and is then drawn anew: uPlot's own automatic range takes a NaN,
-    which leaves a point out, for a number. `log_steps`: a logarithmic horizontal axis, of steps
-    above 0.
+    until the curves leave it, and is then another: uPlot's own automatic range takes a NaN, which
+    leaves a point out, for a number. `log_steps`: a logarithmic horizontal axis, of steps above 0.
+
+    What differs is assigned to viser's plot, which takes another uPlot before the page is painted;
+    a plot that is removed and added would leave a hole on the page for a moment. The ends of the
+    horizontal axis are always said: those that viser's page would find for itself are lost when
+    data come in the moment in which a uPlot is made.
     """
 
     def __init__(
@@ -78,20 +94,22 @@ class Chart:
         span: Span | None = None,
         height: int = HEIGHT,
     ) -> None:
-        self._gui, self._container, self._title = gui, container, title
         self._usual, self._dashed, self._dotted = dict(series), frozenset(dashed), frozenset(dotted)
         self._banded, self._widths = tuple(banded), dict(widths)
         self._logarithmic = logarithmic
-        self._decades: Span | None = (1.0, 10.0) if log_steps else None
-        self._legend, self._height = legend, height
-        self._more: dict[str, Rgb] = {}
-        self._has_cursor = False
+        self._log_steps = log_steps
+        self._steps: Span = (1.0, 10.0)
         self._holds = span is not None
         self._span = span or (0.0, 1.0)
         self._small_for = 0
-        self._plot: Any = None
-        blank = [np.full(2, np.inf)] * (len(self._series()) - 1)
-        self._add((np.array([1.0, 2.0]), *blank), None)
+        looks = self._series(self._usual, (), has_cursor=False)
+        blank = [np.full(2, np.inf)] * (len(looks) - 1)
+        with container:
+            self._plot = gui.add_uplot(
+                (np.array([1.0, 2.0]), *blank), looks, title=title, bands=self._bands(),
+                scales=self._scales(), height=height, legend={"show": legend, "live": False},
+                axes=self._axes(), padding=(8, 34, 0, 0), cursor={"show": False},
+            )  # fmt: skip
 
     def draw(
         self,
@@ -107,9 +125,10 @@ class Chart:
         `more` names and colours series besides the usual ones; `cursor` is drawn as a line upwards;
         `bands` are the least and greatest around each of the banded series.
         """
-        names = (*self._usual, *more)
-        curves = [points.get(name, (np.zeros(0), np.zeros(0))) for name in names]
-        steps = [x for x, _ in curves if len(x)]
+        colors = self._usual | dict(more)
+        curves = {name: points.get(name, NO_POINTS) for name in colors}
+        named = [name for name, (x, _) in curves.items() if len(x)]
+        steps = [curves[name][0] for name in named]
         if not steps:
             return
         line = np.zeros(0)
@@ -122,72 +141,68 @@ class Chart:
         columns = [edge for name in self._banded for edge in _edges_on(x, *bands[name])]
         columns += [
             (_dots_on if name in self._dotted else _line_on)(x, *curve)
-            for name, curve in zip(names, curves, strict=True)
+            for name, curve in curves.items()
         ]
-        same = self._has_cursor == (cursor is not None) and self._more == more
-        fits = all((self._fit(np.concatenate(columns)), self._fit_steps(x), same))
+        self._fit(np.concatenate(columns))
+        self._fit_steps(x)
         if self._logarithmic:  # uPlot clamps NaN to the floor there, and leaves out infinity
             columns = [np.where(np.isnan(c), np.inf, c) for c in columns]
         if cursor is not None:
             columns.append(_dots_on(x, line, np.array([0.0, 1.0])))
-        data = (x, *columns, _dots_on(x, seen, np.full(len(seen), MARK_HEIGHT)))
-        if fits:  # also the same again: a chart that has just been made may need it for its axes
-            self._plot.data = data
-        else:
-            self._more, self._has_cursor = dict(more), cursor is not None
-            self._replace(data)
+        if len(seen):
+            named.append(CHANGED)
+        assign(self._plot, "series", self._series(colors, named, has_cursor=cursor is not None))
+        assign(self._plot, "scales", self._scales())
+        self._plot.data = (x, *columns, _dots_on(x, seen, np.full(len(seen), MARK_HEIGHT)))
 
     def renew(self) -> None:
-        """Make it anew with what it shows; viser's charts do not survive a change of theme."""
-        self._replace(self._plot.data)
+        """Have its uPlot made anew, with what it shows; not all survive a change of theme."""
+        self._plot.scales = self._scales()
 
     def remove(self) -> None:
         self._plot.remove()
 
-    def _replace(self, data: tuple[Array, ...]) -> None:
-        order = self._plot.order
-        self._plot.remove()
-        self._add(data, order)
-
-    def _fit(self, values: Array) -> bool:
-        """Whether the values fit the vertical axis; if not, its span is another from now on."""
+    def _fit(self, values: Array) -> None:
+        """Another span of the vertical axis, if the values do not fit the one that is."""
         values = values[np.isfinite(values)]
         if self._holds or len(values) == 0:
-            return True
+            return
         low, high = float(values.min()), float(values.max())
         wanted = _around(low, high)
         fits = self._span[0] <= low and high <= self._span[1]
         small = _width(wanted) < SHRINK * _width(self._span)
         self._small_for = self._small_for + 1 if small else 0
-        if fits and self._small_for < SHRINK_DRAWINGS:
-            return True
-        self._span, self._small_for = wanted, 0
-        return False
+        if not fits or self._small_for >= SHRINK_DRAWINGS:
+            self._span, self._small_for = wanted, 0
 
-    def _fit_steps(self, x: Array) -> bool:
-        """Whether the steps fit a logarithmic axis, the latest few powers of ten; likewise."""
-        if self._decades is None:
-            return True
-        high = max(1, math.ceil(math.log10(x[-1])))
-        low = min(high - 1, max(high - MOST_DECADES, math.floor(math.log10(x[0]))))
-        wanted = 10.0**low, 10.0**high
-        fits, self._decades = self._decades == wanted, wanted
-        return fits
+    def _fit_steps(self, x: Array) -> None:
+        """All steps, or the latest few powers of ten where their axis is logarithmic."""
+        first, last = float(x[0]), float(x[-1])
+        if self._log_steps:
+            high = max(1, math.ceil(math.log10(last)))
+            low = min(high - 1, max(high - MOST_DECADES, math.floor(math.log10(first))))
+            first, last = 10.0**low, 10.0**high
+        self._steps = first, max(last, first + 1.0)
 
-    def _series(self) -> tuple[uplot.Series, ...]:
-        """The axis, the curves, the cursor if there is one, and last the marks."""
+    def _series(
+        self, colors: Mapping[str, Rgb], named: Collection[str], *, has_cursor: bool
+    ) -> tuple[uplot.Series, ...]:
+        """The axis, the curves, the cursor if there is one, and last the marks; in the legend are
+        those that are `named`.
+        """
         cursor = uplot.Series(
             label="shown", stroke=css(CURSOR), width=2, points={"show": False}, scale="m"
         )
-        return (
-            uplot.Series(label="step"),
-            *(_edge() for _ in range(2 * len(self._banded))),
-            *(self._curve(name, color) for name, color in (self._usual | self._more).items()),
-            *((cursor,) if self._has_cursor else ()),
-            uplot.Series(
-                label="changed", stroke=css(MARK), width=0, points=_points(MARK, 9), scale="m"
-            ),
+        curves = [self._curve(name, color) for name, color in colors.items()]
+        changed = uplot.Series(
+            label=CHANGED, stroke=css(MARK), width=0, points=_points(MARK, 9), scale="m"
         )
+        for one in (*curves, changed):
+            if one["label"] not in named:
+                one["class"] = UNNAMED
+        edges = (_edge() for _ in range(2 * len(self._banded)))
+        cursors = (cursor,) if has_cursor else ()
+        return (uplot.Series(label="step"), *edges, *curves, *cursors, changed)
 
     def _curve(self, name: str, color: Rgb) -> uplot.Series:
         if name in self._dotted:
@@ -208,26 +223,19 @@ class Chart:
             for k, name in enumerate(self._banded)
         )
 
-    def _add(self, data: tuple[Array, ...], order: float | None) -> None:
+    def _scales(self) -> Any:
         y: dict[str, Any] = {"auto": False, "range": self._span}
         if self._logarithmic:
             y["distr"] = 3
-        x: dict[str, Any] = {"time": False}
-        if self._decades is not None:
-            x |= {"distr": 3, "auto": False, "range": self._decades}
-        scales: Any = {"x": x, "y": y, "m": {"auto": False, "range": (0.0, 1.0)}}
-        with self._container:
-            self._plot = self._gui.add_uplot(
-                data, self._series(), title=self._title, bands=self._bands(), scales=scales,
-                height=self._height,
-                legend={"show": self._legend, "live": False},
-                axes=(
-                    {"size": 38, "space": 90, "ticks": {"show": self._decades is None}},
-                    {"size": 62, "ticks": {"show": not self._logarithmic}},
-                ),
-                padding=(8, 24 if self._decades is None else 34, 0, 0),
-                cursor={"show": False}, order=order,
-            )  # fmt: skip
+        x: dict[str, Any] = {"time": False, "auto": False, "range": self._steps}
+        if self._log_steps:
+            x["distr"] = 3
+        return {"x": x, "y": y, "m": {"auto": False, "range": (0.0, 1.0)}}
+
+    def _axes(self) -> Any:
+        steps: dict[str, Any] = {"size": 38, "space": 80}
+        steps |= {"ticks": {"show": False}} if self._log_steps else {"incrs": WHOLE}
+        return steps, {"size": 62, "ticks": {"show": not self._logarithmic}}
 
 
 def _upright(cursor: Cursor) -> Array:
@@ -237,7 +245,9 @@ def _upright(cursor: Cursor) -> Array:
 
 def _around(low: float, high: float) -> Span:
     """Round numbers outside of two numbers, with some room."""
-    room = max(high - low, 1e-3 * max(abs(low), abs(high)), 1e-9)
+    room = max(high - low, FLAT * max(abs(low), abs(high)))
+    if room < NOTHING:
+        room = ROOM_OF_NOTHING
     unit = 10.0 ** math.floor(math.log10(room)) / 2
     low, high = low - ROOM * room, high + ROOM * room
     return unit * math.floor(low / unit), unit * math.ceil(high / unit)
@@ -253,7 +263,7 @@ def _points(color: Rgb, size: int) -> Any:
 
 def _edge() -> Any:
     """A side of a band: its place matters, it is not drawn itself."""
-    return {"label": "", "width": 0, "points": {"show": False}, "class": BAND_EDGE}
+    return {"label": "", "width": 0, "points": {"show": False}, "class": UNNAMED}
 
 
 def _line_on(x: Array, own: Array, y: Array) -> Array:
