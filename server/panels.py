@@ -18,7 +18,7 @@ from server.learning import Learning, cursor, marks, others, since
 from server.look import Scale, neuron_names
 from server.palette import Rgb, Theme
 from server.picture import Picture
-from server.trail import moved
+from server.trail import alike
 
 Array = NDArray[np.float64]
 
@@ -162,7 +162,7 @@ class Panels:
 
     def _draw_kept(self, picture: Picture) -> None:
         """The rule's memory in the latest pictures."""
-        trail = moved(picture.live_trail if picture.past is None else picture.shown_trail)
+        trail = alike(picture.live_trail if picture.past is None else picture.shown_trail)
         frames = [f for f in trail if type(f.rule) is self._rule]
         if self._kept_chart is not None and len(frames) > 1:
             x = np.array([f.step for f in frames], dtype=np.float64)
@@ -172,7 +172,7 @@ class Panels:
             self._kept_chart.draw(points, marks(picture))
 
     def _draw_rates(self, picture: Picture) -> None:
-        frames = moved(picture.live_trail if picture.past is None else picture.shown_trail)
+        frames = alike(picture.live_trail if picture.past is None else picture.shown_trail)
         if len(frames) > 1:
             x = np.array([f.step for f in frames], dtype=np.float64)
             rates = np.array([f.since.spikes / f.since.steps for f in frames])
@@ -192,7 +192,7 @@ class Panels:
         )
 
     def _draw_synapse(self, picture: Picture) -> None:
-        frames = moved(picture.shown_trail)
+        frames = alike(picture.shown_trail)
         if self._synapse_chart is not None and len(frames) > 1:
             x = np.array([f.step for f in frames], dtype=np.float64)
             z, w = np.array([(f.trace[0], f.weight[0]) for f in frames]).T
@@ -200,7 +200,7 @@ class Panels:
 
     def _draw_potentials(self, picture: Picture) -> None:
         """Least and greatest v of each picture, of each curve's neurons."""
-        frames = moved(picture.shown_trail)
+        frames = alike(picture.shown_trail)
         if len(frames) > 1:
             x = np.array([f.step for f in frames], dtype=np.float64)
             low, high = np.array([f.since.potential_range for f in frames]).transpose(1, 0, 2)

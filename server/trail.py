@@ -11,6 +11,8 @@ from hebbviz.moments import Block, Frame, join
 FRAMES = 200
 STEPS = 256
 MOST_BYTES = 100_000_000
+MANY = 50
+"""Times as many steps in one frame as in another are too many to be seen beside them."""
 
 
 class Trail:
@@ -77,6 +79,15 @@ def _follows(frame: Frame, last: Frame) -> bool:
 def moved(frames: Sequence[Frame]) -> list[Frame]:
     """Those that stand for steps; a picture of a run that rests stands for none."""
     return [f for f in frames if f.since.steps]
+
+
+def alike(frames: Sequence[Frame]) -> list[Frame]:
+    """The latest of those, as far as none stands for many more steps than the newest: beside the
+    thousands of a fast run, single steps after it would not be seen.
+    """
+    frames = moved(frames)
+    far = [k for k, f in enumerate(frames) if f.since.steps > MANY * frames[-1].since.steps]
+    return frames[far[-1] + 1 :] if far else frames
 
 
 def _size(frame: Frame) -> int:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hebbviz.moments import Frame
 from server import charts
 from server.charts import Chart, Cursor, Points
+from server.trail import MANY, alike
 
 VALUES = st.floats(-1e9, 1e9).map(lambda y: y if abs(y) > 1e-9 else 0.0)
 CURVES = st.lists(st.lists(VALUES, min_size=1, max_size=9), min_size=1, max_size=9)
@@ -88,3 +91,14 @@ def test_what_varies_is_seen_however_small_it_is(value: float, share: float) -> 
     assert bottom < top
     if high > low:
         assert (high - low) / (top - bottom) > 0.2
+
+
+@given(st.lists(st.integers(1, 10_000), max_size=30))
+def test_single_steps_stand_alone_after_a_fast_run(lengths: list[int]) -> None:
+    frames = [cast(Frame, SimpleNamespace(since=SimpleNamespace(steps=n))) for n in lengths]
+    kept = [f.since.steps for f in alike(frames)]
+    assert kept == lengths[len(lengths) - len(kept) :], "the latest, without a gap"
+    if kept:
+        assert max(kept) <= MANY * kept[-1]
+    if len(kept) < len(lengths):
+        assert lengths[-len(kept) - 1] > MANY * kept[-1]
