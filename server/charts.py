@@ -155,6 +155,9 @@ class Chart:
         assign(self._plot, "scales", self._scales())
         self._plot.data = (x, *columns, _dots_on(x, seen, np.full(len(seen), MARK_HEIGHT)))
 
+    def show(self, seen: bool) -> None:
+        assign(self._plot, "visible", seen)
+
     def renew(self) -> None:
         """Have its uPlot made anew, with what it shows; not all survive a change of theme."""
         self._plot.scales = self._scales()

@@ -11,7 +11,7 @@ from server import palette
 from server.charts import Chart
 from server.look import endpoints
 from server.picture import Picture
-from server.trail import moved
+from server.trail import alike
 from server.widgets import assign
 
 NEURON = "a neuron"
@@ -36,9 +36,8 @@ class Inspector:
             self._to = gui.add_dropdown("to", ("-",))
             self._text = gui.add_markdown("*click a neuron or a synapse, or choose above*")
         self._chart = Chart(
-            gui, self._folder, "z and w of the synapse",
-            {"z": palette.TRACE_POSITIVE, "least z": palette.TRACE_NEGATIVE,
-             "greatest z": palette.TRACE_NEGATIVE, "w": palette.WEIGHT_POSITIVE},
+            gui, self._folder, "z, its range, and w of the synapse",
+            {"z": palette.TRACE_POSITIVE, "w": palette.WEIGHT_POSITIVE}, banded=("z",),
         )  # fmt: skip
         self._offer()
         for handle in (self._kind, self._from, self._to):
@@ -71,18 +70,19 @@ class Inspector:
     def draw(self, picture: Picture) -> None:
         """Show the numbers and the chart; a few times a second is enough."""
         frame, synapse = picture.shown, self.synapse  # a hand may pick another meanwhile
+        self._chart.show(synapse is not None)
         if synapse is None:
             self._text.content = self._neuron_words(frame)
             return
-        frames = moved(picture.shown_trail)
+        frames = alike(picture.shown_trail)
         since = frames[-1].since if frames else frame.since
         self._text.content = self._synapse_words(frame, since, synapse)
         if len(frames) > 1:
             x = np.array([f.step for f in frames], dtype=np.float64)
             z, low, high, w = np.array([_values(f, synapse) for f in frames]).T
-            curves = {"z": z, "least z": low, "greatest z": high, "w": w}
             marks = [float(c.step) for c in picture.changes]
-            self._chart.draw({name: (x, y) for name, y in curves.items()}, marks)
+            bands = {"z": ((x, low), (x, high))}
+            self._chart.draw({"z": (x, z), "w": (x, w)}, marks, bands=bands)
 
     # Choosing
 
