@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hebbviz.task import IS_LOWER_BOUND, Measure, Score, Task
 from server import palette, spread, words
 from server.charts import LEGENDS, Chart, Cursor, Points
+from server.commands import GiveReward
 from server.evaluation import Evaluation
 from server.history import Curve
 from server.palette import Rgb, Theme
@@ -186,8 +187,16 @@ def _said(picture: Picture, curve: Curve, all_lanes: Spread | None, *, at_least:
     both = "" if picture.other is None else words.compared(picture, picture.other)
     return (
         f"{both}\n\nEach point sums up {words.steps(curve.window)}{now}.{bound} "
-        f"{_changes(picture)} {evaluated(picture)}"
+        f"{_by_hand(picture)} {_changes(picture)} {evaluated(picture)}"
     )
+
+
+def _by_hand(picture: Picture) -> str:
+    """The rewards by hand: the curve is of the task's own."""
+    given = [c.change.reward for c in picture.changes if isinstance(c.change, GiveReward)]
+    if not given:
+        return ""
+    return f"Rewards by hand, **{sum(given):+.3g}** in all, are not in the curve."
 
 
 def _figure(picture: Picture, done: Evaluation, key: str) -> str:
