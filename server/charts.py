@@ -58,7 +58,7 @@ UNNAMED = "hebbviz-unnamed"
 LEGENDS = f"""<style>.{UNNAMED} {{ display: none; }}
 .u-legend {{ pointer-events: none; }}</style>"""
 """Keeps edges of bands, and what has no points yet, out of the legends, in which nothing can be
-switched off: the next drawing would bring it back. A page needs it once.
+switched off: the next drawing would bring it back. Each chart has it, for only tabs in front count.
 """
 NO_POINTS: Points = np.zeros(0), np.zeros(0)
 BAND_STRENGTH = 0.3
@@ -73,8 +73,8 @@ class Chart:
 
     What differs is assigned to viser's plot, which takes another uPlot before the page is painted;
     a plot that is removed and added would leave a hole on the page for a moment. The ends of the
-    horizontal axis are always said: those that viser's page would find for itself are lost when
-    data come in the moment in which a uPlot is made.
+    horizontal axis are said with each drawing: those that viser's page would find for itself are
+    lost when data come in the moment in which a uPlot is made.
     """
 
     def __init__(
@@ -105,6 +105,7 @@ class Chart:
         looks = self._series(self._usual, (), has_cursor=False)
         blank = [np.full(2, np.inf)] * (len(looks) - 1)
         with container:
+            self._style = gui.add_html(LEGENDS)
             self._plot = gui.add_uplot(
                 (np.array([1.0, 2.0]), *blank), looks, title=title, bands=self._bands(),
                 scales=self._scales(), height=height, legend={"show": legend, "live": False},
@@ -152,7 +153,7 @@ class Chart:
         if len(seen):
             named.append(CHANGED)
         assign(self._plot, "series", self._series(colors, named, has_cursor=cursor is not None))
-        assign(self._plot, "scales", self._scales())
+        self._plot.scales = self._scales()  # also the same again: it is what makes a uPlot anew
         self._plot.data = (x, *columns, _dots_on(x, seen, np.full(len(seen), MARK_HEIGHT)))
 
     def show(self, seen: bool) -> None:
@@ -163,6 +164,7 @@ class Chart:
         self._plot.scales = self._scales()
 
     def remove(self) -> None:
+        self._style.remove()
         self._plot.remove()
 
     def _fit(self, values: Array) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hebbviz.task import IS_LOWER_BOUND, Measure, Score, Task
 from server import palette, spread, words
-from server.charts import LEGENDS, Chart, Cursor, Points
+from server.charts import Chart, Cursor, Points
 from server.commands import GiveReward
 from server.evaluation import Evaluation
 from server.history import Curve
@@ -56,11 +56,10 @@ class Learning:
             span=measure.span, height=HEIGHT_WITH_LANES if self._has_lanes else HEIGHT,
         )  # fmt: skip
         with tab:
-            self._style = gui.add_html(LEGENDS)
             self._words = gui.add_markdown("")
 
     def remove(self) -> None:
-        for handle in (self._chart, self._style, self._words):
+        for handle in (self._chart, self._words):
             handle.remove()
 
     def renew(self) -> None:

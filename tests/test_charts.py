@@ -36,6 +36,9 @@ class Gui:
     def __init__(self) -> None:
         self.plots: list[Plot] = []
 
+    def add_html(self, content: str) -> None:
+        pass
+
     def add_uplot(self, data: Any, series: Any, **looks: Any) -> Plot:
         self.plots.append(Plot(data, series, **looks))
         return self.plots[-1]
