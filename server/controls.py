@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-import re
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import viser
 
 from hebbviz.chance import LARGEST_SEED
+from hebbviz.limits import LARGEST_GAMMA
 from hebbviz.switches import Switch
 from hebbviz.task import Control, Task
 from hebbviz.topology import parse_hidden
@@ -31,6 +32,7 @@ from server.commands import (
     SetWatch,
     SetWatchSpeed,
     ShowReward,
+    Speed,
     StepOnce,
     Undo,
     WatchLane,
@@ -47,6 +49,8 @@ SHORTEST, LONGEST = 0.0, 4.0
 LEAST_GAMMA, GREATEST_GAMMA = -8.0, -1.0
 """Ends of the step size slider, log10 of γ."""
 SPEEDS = ("1", "2", "5", "10", "25", "50", "100", "1000", "10000")
+
+N = TypeVar("N", int, float)
 
 
 class Controls:
@@ -93,7 +97,7 @@ class Controls:
         self.achieved = gui.add_markdown("")
         self._ui.when(self.task, Choose)
         self._ui.when(self.preset, lambda v: Choose(self._ui.picture.task_name, v))
-        self._ui.when(self.speed, lambda v: SetSpeed(v if v in (MAX, REALTIME) else float(v)))
+        self._ui.when(self.speed, lambda v: SetSpeed(_speed(v)))
         self._ui.when(self.steps, lambda v: StepOnce(int(v.split()[0])))
         self._ui.press(self.pause, lambda: Pause(not self._paused))
         self._ui.press(self.reset, Reset)
@@ -101,28 +105,23 @@ class Controls:
 
     def _build_learning(self) -> None:
         gui = self._gui
-        self.beta = gui.add_number(
-            "beta", 0.98, min=0.0, max=GREATEST_BETA, step=0.001,
-            hint="β, how much of a trace is left after a step",
-        )  # fmt: skip
+        self.beta = gui.add_text("β", "0.98", hint="how much of a trace is left after a step")
         self.memory = gui.add_slider(
-            "memory", SHORTEST, LONGEST, 0.01, 1.7,
+            "β by memory", SHORTEST, LONGEST, 0.01, 1.7,
             marks=((0.0, "1"), (1.0, "10"), (2.0, "100"), (3.0, "1000"), (4.0, "10⁴")),
             hint="β by its time constant 1/(1−β) in steps, logarithmic",
         )  # fmt: skip
         self.memory_words = gui.add_markdown("")
-        self.gamma = gui.add_text(
-            "gamma", "0.01", hint="γ, the step size: how far a reward moves w"
-        )
+        self.gamma = gui.add_text("γ", "0.01", hint="the step size: how far a reward moves w")
         self.step_size = gui.add_slider(
-            "step size", LEAST_GAMMA, GREATEST_GAMMA, 0.05, -2.0,
+            "γ, step size", LEAST_GAMMA, GREATEST_GAMMA, 0.05, -2.0,
             marks=tuple((float(k), f"1e{k}") for k in (-8, -6, -4, -2)),
             hint="γ, logarithmic",
         )  # fmt: skip
         self.frozen = gui.add_checkbox("freeze learning", False, hint="F: γ is remembered")
-        self._ui.when(self.beta, lambda v: SetBeta(float(v)), unfinished=lambda v: v == 0)
+        self._ui.when(self.beta, self._set_typed_beta, typed=True)
         self._ui.when(self.memory, lambda v: SetBeta(round(1.0 - 10.0**-v, 6)))
-        self._ui.when(self.gamma, self._set_typed_gamma, unfinished=_may_go_on)
+        self._ui.when(self.gamma, self._set_typed_gamma, typed=True)
         self._ui.when(self.step_size, lambda v: SetGamma(float(f"{10.0**v:.3g}")))
         self._ui.when(self.frozen, lambda v: Freeze(bool(v)))
 
@@ -141,7 +140,7 @@ class Controls:
             "lane", 0, min=0, max=0, step=1, visible=False,
             hint="which of the replicas is shown; G, H: the one before, the next",
         )  # fmt: skip
-        self._ui.when(self.lane, lambda v: WatchLane(int(v)), unfinished=lambda _: True)
+        self._ui.when(self.lane, lambda v: WatchLane(int(v)), typed=True)
         self.watch = gui.add_checkbox(
             "watch", True, hint="while the run goes on, play excerpts that the eye can follow"
         )
@@ -161,12 +160,8 @@ class Controls:
 
     def _build_more(self, seed: int) -> None:
         gui = self._gui
-        self.typed_speed = gui.add_number(
-            "steps/s", 50.0, min=0.01, max=1e9, step=1.0, hint="any speed; press enter"
-        )
-        self.seed = gui.add_number(
-            "seed", seed, min=0, max=LARGEST_SEED, step=1, hint="another seed starts a new run"
-        )
+        self.typed_speed = gui.add_text("steps/s", MAX, hint="any speed, or max, or realtime")
+        self.seed = gui.add_text("seed", str(seed), hint="another seed starts a new run")
         self.new_seed = gui.add_button("New seed", icon=viser.Icon.DICE_5)
         self.hidden = gui.add_text("hidden", "8", hint="sizes of the hidden layers: 16 or 8,8")
         self.lanes = gui.add_number(
@@ -175,11 +170,13 @@ class Controls:
             "another number starts a new run, in which lane 0 is the same as before. A world that "
             "is stepped in Python, the pendulum, takes so many times as long",
         )  # fmt: skip
-        self._ui.when(self.typed_speed, lambda v: SetSpeed(float(v)))
-        self._ui.when(self.seed, lambda v: Reset(seed=int(v)), unfinished=lambda _: True)
-        self._ui.when(self.hidden, self._choose_hidden, unfinished=lambda _: True)
-        self._ui.when(self.lanes, lambda v: Reset(lanes=int(v)), unfinished=lambda _: True)
-        self._ui.press(self.new_seed, lambda: Reset(seed=(int(self.seed.value) + 1) % LARGEST_SEED))
+        self._ui.when(self.typed_speed, lambda v: SetSpeed(_speed(v)), typed=True)
+        self._ui.when(self.seed, self._choose_seed, typed=True)
+        self._ui.when(self.hidden, self._choose_hidden, typed=True)
+        self._ui.when(self.lanes, self._choose_lanes, typed=True)
+        self._ui.press(
+            self.new_seed, lambda: Reset(seed=(self._ui.picture.seed + 1) % (LARGEST_SEED + 1))
+        )
 
     def _build_keys(self) -> None:
         """Keys that viser's camera does not use: it has W, A, S, D, Q, E and the arrows."""
@@ -274,26 +271,26 @@ class Controls:
         undo = f"Undo: {picture.undo_words}" if picture.undo_words else "Undo"
         assign(self.undo, "label", undo)
         assign(self.undo, "disabled", picture.undo_words is None)
-        self._ui.put(self.seed, picture.seed)
+        self._ui.put(self.seed, str(picture.seed))
         self._ui.put(self.lanes, picture.lanes)
         assign(self.lane, "visible", picture.lanes > 1)
         assign(self.lane, "max", picture.lanes - 1)
         self._ui.put(self.lane, picture.lane)
-        assign(self.hidden, "disabled", type(picture.task).topology is not Task.topology)
-        self._ui.put(self.hidden, ",".join(map(str, _hidden(picture))) or "none")
+        hidden = _hidden(picture)
+        assign(self.hidden, "visible", hidden is not None)
+        self._ui.put(self.hidden, ",".join(map(str, hidden or ())) or "none")
         speed = picture.speed if isinstance(picture.speed, str) else f"{picture.speed:g}"
         choices = (MAX, *((REALTIME,) if picture.task.dt else ()), *SPEEDS)
         if speed not in choices:
             choices = (*choices, speed)
         assign(self.speed, "options", choices)
         self._ui.put(self.speed, speed)
-        if not isinstance(picture.speed, str):
-            self._ui.put(self.typed_speed, float(picture.speed))
+        self._ui.put(self.typed_speed, speed)
 
     def _follow_learning(self, picture: Picture) -> None:
         """β, γ and freezing, in the past those of the step that is shown."""
         beta, gamma, frozen = _in_force(picture)
-        self._ui.put(self.beta, round(min(beta, GREATEST_BETA), 6))
+        self._ui.put(self.beta, f"{min(beta, GREATEST_BETA):.6g}")
         memory = min(LONGEST, max(SHORTEST, -math.log10(1.0 - beta)))
         self._ui.put(self.memory, round(memory, 2))
         assign(self.memory_words, "content", f"trace lasts {words.memory(beta, picture.task.dt)}")
@@ -303,21 +300,48 @@ class Controls:
         self._ui.put(self.frozen, frozen)
         self._rule.follow(picture)
 
-    # Small things
+    # What is typed: no command where it is what holds already
+
+    def _set_typed_beta(self, text: str) -> Command | None:
+        beta = _parsed(float, text, "β must be", 0.0, GREATEST_BETA)
+        return None if beta == _in_force(self._ui.picture)[0] else SetBeta(beta)
+
+    def _set_typed_gamma(self, text: str) -> Command | None:
+        gamma = _parsed(float, text, "γ must be", 0.0, LARGEST_GAMMA)
+        return None if gamma == _in_force(self._ui.picture)[1] else SetGamma(gamma)
+
+    def _choose_seed(self, text: str) -> Command | None:
+        seed = _parsed(int, text, "seed must be a whole number", 0, LARGEST_SEED)
+        return None if seed == self._ui.picture.seed else Reset(seed=seed)
+
+    def _choose_lanes(self, lanes: int) -> Command | None:
+        return None if lanes == self._ui.picture.lanes else Reset(lanes=lanes)
 
     def _choose_hidden(self, text: str) -> Command | None:
         sizes = parse_hidden(text)
         picture = self._ui.picture
-        if list(sizes) == _hidden(picture):
+        if sizes == _hidden(picture):
             return None
         return Choose(picture.task_name, picture.task.preset_name, sizes)
 
-    def _set_typed_gamma(self, text: str) -> Command:
-        try:
-            gamma = float(text)
-        except ValueError:
-            raise ValueError(f"gamma must be a number such as 1e-3, got {text[:40]!r}") from None
-        return SetGamma(gamma)
+
+def _parsed(kind: Callable[[str], N], text: str, must_be: str, least: N, most: N) -> N:
+    """The number that was typed; raises ValueError for anything else, or one beyond the ends."""
+    try:
+        value = kind(text)
+    except ValueError:
+        value = most + 1
+    if not least <= value <= most:
+        raise ValueError(f"{must_be} from {least} to {most}, got {text[:40]!r}")
+    return value
+
+
+def _speed(text: str) -> Speed:
+    """Steps per second, or a word, of which `SetSpeed` knows two."""
+    try:
+        return float(text)
+    except ValueError:
+        return text.strip()
 
 
 def _in_force(picture: Picture) -> tuple[float, float, bool]:
@@ -328,13 +352,11 @@ def _in_force(picture: Picture) -> tuple[float, float, bool]:
     return float(shown.beta[0]), shown.step_size, shown.frozen
 
 
-def _hidden(picture: Picture) -> list[int]:
-    """Sizes of the hidden layers; a task with a network of its own has none."""
-    if type(picture.task).topology is not Task.topology:
-        return []
-    return [g.size for g in picture.live.topology.neuron_groups][:-1]
-
-
-def _may_go_on(text: str) -> bool:
-    """Whether a typed γ may be only the beginning of one: 1, or 1e-, but not 0.01 or 1e-3."""
-    return re.fullmatch(r"\s*\d*\.\d+\s*|\s*[\d.]+[eE]-?\d+\s*", text) is None
+def _hidden(picture: Picture) -> tuple[int, ...] | None:
+    """Sizes of the hidden layers; None where sizes are not what makes the network."""
+    network = picture.live.topology
+    sizes = tuple(g.size for g in network.neuron_groups[:-1])
+    try:
+        return sizes if picture.task.topology(sizes) == network else None
+    except ValueError:
+        return None

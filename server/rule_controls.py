@@ -24,10 +24,11 @@ class RuleControls:
         self._ui, self._folder = widgets, folder
         self._parameters: dict[str, Any] = {}
         self._rule: Rule | None = None
+        self._fall = math.inf
         gui = widgets.gui
         with folder:
             self.fall = gui.add_text(
-                "gamma falls over", NEVER,
+                "γ falls over", NEVER,
                 hint="T in steps, or never: at step t the γ in force is γ T/(T + t)",
             )  # fmt: skip
             self.in_force = gui.add_markdown("")
@@ -36,7 +37,7 @@ class RuleControls:
             )
             self.words = gui.add_markdown("")
         widgets.when(self.rule, SetRule)
-        widgets.when(self.fall, _typed_fall, unfinished=lambda _: True)
+        widgets.when(self.fall, self._typed_fall, typed=True)
 
     def follow(self, picture: Picture) -> None:
         """Show what holds; in the past, what held at the step that is shown."""
@@ -47,7 +48,7 @@ class RuleControls:
         self._ui.put(self.rule, rule.name)
         if type(rule) is not type(self._rule):
             self._build_parameters(rule)
-        self._rule = rule
+        self._rule, self._fall = rule, frame.fall
         for name, handle in self._parameters.items():
             self._ui.put(handle, float(getattr(rule, name)))
         assign(self.words, "content", _words(frame))
@@ -71,21 +72,22 @@ class RuleControls:
             hint=said["hint"],
         )  # fmt: skip
 
-        def command(value: float) -> SetRule:
+        def command(value: float) -> SetRule | None:
             assert self._rule is not None
-            return SetRule(str(dataclasses.replace(self._rule, **{name: float(value)})))
+            changed = dataclasses.replace(self._rule, **{name: float(value)})
+            return None if changed == self._rule else SetRule(str(changed))
 
-        self._ui.when(handle, command, unfinished=lambda _: True)
+        self._ui.when(handle, command, typed=True)
         return handle
 
-
-def _typed_fall(text: str) -> SetFall:
-    try:
-        return SetFall(math.inf if text.strip() == NEVER else float(text))
-    except ValueError as error:
-        raise ValueError(
-            f"gamma falls over a number of steps from 1 on, or {NEVER}, got {text[:40]!r}"
-        ) from error
+    def _typed_fall(self, text: str) -> SetFall | None:
+        try:
+            change = SetFall(math.inf if text.strip() == NEVER else float(text))
+        except ValueError as error:
+            raise ValueError(
+                f"γ falls over a number of steps from 1 on, or {NEVER}, got {text[:40]!r}"
+            ) from error
+        return None if change.fall == self._fall else change
 
 
 def _words(frame: Frame) -> str:

@@ -53,7 +53,7 @@ class Rewind:
             self.slider = MovingSlider(
                 gui.add_slider(
                     "go to", 0, 1, 1, 0, marks=(),
-                    hint="drag to any step of the past; the run rests meanwhile",
+                    hint="drag to any step of the past; the run is paused meanwhile",
                 )
             )  # fmt: skip
             gui.add_html(WIDE_SLIDER)
@@ -80,8 +80,8 @@ class Rewind:
         self.back = gui.add_button("Back to now", icon=viser.Icon.ARROW_FORWARD_UP, hint="B")
         advice = gui.add_markdown(TRY_IT)
         self._past = (self.step, self.loop, self.take_over, self.back, advice)
-        self._ui.when(self.step, self._seek, unfinished=lambda _: True)
-        self._ui.when(self.time, self._seek_time, unfinished=lambda _: True)
+        self._ui.when(self.step, self._seek, typed=True)
+        self._ui.when(self.time, self._seek_time, typed=True)
         self._ui.when(self.loop, lambda v: SetLoop(bool(v)))
         self._ui.press(self.take_over, TakeOver)
         self._ui.press(self.back, self._back)

@@ -19,8 +19,10 @@ from server.picture import Picture
 
 QUIET_SECONDS = 2.5
 """A widget that was just moved by hand is not set back to the run's value before this."""
-TYPING_SECONDS = 0.6
-"""A typed value that may be only a beginning is taken when nothing was typed for so long."""
+TYPING_SECONDS = 0.8
+"""What is typed is taken when nothing more was typed for so long."""
+MENDING_SECONDS = 4.0
+"""What was refused is left alone for longer, to be mended."""
 
 Send = Callable[[Command], None]
 Notify = Callable[[str], None]
@@ -57,17 +59,18 @@ class Widgets:
         handle: Any,
         command: Callable[[Any], Command | None],
         *,
-        unfinished: Callable[[Any], bool] = lambda _: False,
+        typed: bool = False,
     ) -> None:
         """Send what `command` makes of a widget's new value, when a page changed it.
 
-        A value may be `unfinished`: a page sends every key that is typed, and a 1 may become 1e-3.
-        Such a value waits until nothing more is typed.
+        A page sends every key that is `typed`, and a 1 may become 1e-3: such a value waits until
+        nothing more is typed, and one that was wiped out waits for another.
         """
         key = _key(handle)
 
         def act() -> None:
-            self.attempt(lambda: command(handle.value))
+            if handle.value != "":
+                self.attempt(lambda: command(handle.value), typed_in=key if typed else None)
 
         def changed(event: Any) -> None:
             if event.client is None:
@@ -77,7 +80,7 @@ class Widgets:
             waiting = self._waiting.pop(key, None)
             if waiting is not None:
                 waiting.cancel()
-            if unfinished(handle.value):
+            if typed:
                 self._waiting[key] = timer = threading.Timer(TYPING_SECONDS, act)
                 timer.daemon = True
                 timer.start()
@@ -99,12 +102,16 @@ class Widgets:
         handle.on_trigger(lambda _: self.attempt(command))
         return handle
 
-    def attempt(self, command: Callable[[], Command | None]) -> None:
+    def attempt(
+        self, command: Callable[[], Command | None], *, typed_in: str | None = None
+    ) -> None:
         """Make a command and send it; a value that is refused is said in a notice."""
         try:
             made = command()
         except ValueError as error:
             self._notify(str(error))
+            if typed_in is not None:
+                self._touched[typed_in] = time.monotonic() + MENDING_SECONDS
             return
         if made is not None:
             self._send(made)

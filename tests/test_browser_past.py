@@ -116,7 +116,7 @@ def page(tab: Page, live: Live) -> Page:
     wait_until(lambda: live.picture.live.step == CHANGED_AT, 20.0)
     live.send(SetBeta(0.9), StepOnce(STEPS - CHANGED_AT))
     wait_until(lambda: live.picture.live.step == STEPS and live.picture.past is None, 20.0)
-    expect(field(tab, "beta")).to_have_value("0.9")
+    expect(field(tab, "β")).to_have_value("0.9")
     tab.get_by_role("button", name="Run", exact=True).wait_for()
     eventually(tab, lambda: slider_at(tab) == STEPS)
     return tab
@@ -190,11 +190,11 @@ def test_the_past_is_played_and_paused_and_stepped(page: Page, live: Live) -> No
 
 def test_keys_and_buttons_jump_to_changes(page: Page, live: Live) -> None:
     go_to(page, live, CHANGED_AT - 100)
-    expect(field(page, "beta")).to_have_value("0.98")  # the one that held then
+    expect(field(page, "β")).to_have_value("0.98")  # the one that held then
     press(page, "change ▶")
     see(page, live, CHANGED_AT)
     press(page, "1 step")
-    expect(field(page, "beta")).to_have_value("0.9")
+    expect(field(page, "β")).to_have_value("0.9")
     page.keyboard.press("j")
     see(page, live, CHANGED_AT)
     press(page, "reward ▶")
@@ -238,7 +238,7 @@ def test_taking_over_goes_on_from_there_and_undo_brings_back(page: Page, live: L
 
 def test_another_beta_in_the_past_takes_over(page: Page, live: Live) -> None:
     go_to(page, live, 600)
-    field(page, "beta").fill("0.5")
+    field(page, "β").fill("0.5")
     eventually(page, lambda: live.picture.past is None and live.picture.beta == 0.5)
     assert [c.step for c in live.picture.changes] == [600]
 

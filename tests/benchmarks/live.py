@@ -137,11 +137,11 @@ def send_betas(port: int) -> None:
     """Set β again and again: at which time which."""
     sent = {}
     with RawClient(port) as client:
-        beta = client.find("beta", timeout=30.0)
+        memory = client.find("β by memory", timeout=30.0)
         for k in range(COMMANDS):
-            value = round(0.9 + 0.003 * k, 4)
-            sent[f"{value:.6f}"] = time.monotonic()
-            client.send_value(beta, value)
+            value = round(1.0 + 0.01 * k, 2)
+            sent[f"{1 - 10**-value:.6f}"] = time.monotonic()
+            client.send_value(memory, value)
             time.sleep(0.15 + 0.007 * k)
     _answer(sent)
 
