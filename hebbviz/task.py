@@ -188,6 +188,8 @@ class Task:
     readings: ClassVar[tuple[Reading, ...]] = ()
     """What recordings plot of the world, in the order of `read`."""
     props: Sequence[Prop] = ()
+    legend: ClassVar[str] = ""
+    """What is to be known of the props to see what they show."""
     controls: ClassVar[tuple[Control, ...]] = ()
     natural_speed: float | None = None
     """Steps per second at which the page opens; None for as fast as it goes."""

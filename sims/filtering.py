@@ -74,14 +74,14 @@ class Filtering(FiniteWorld):
     presets = {
         "quick": Preset(
             0.8, 3e-3,
-            "not in the paper, which names filtering without a task; "
-            "its rule, but the hidden neurons hear each other",
+            "the paper's rule; the task is not the paper's, and its hidden neurons hear each other",
         ),
     }  # fmt: skip
     measure = Measure("share of right answers", "right", span=(0.4, 1.0))
     frozen_figures = ("baseline", "best")
     watch_speed = 6.0
     readings = tuple(Reading(row.name, "+1 or −1", steps=True) for row in _ROWS)
+    legend = "rows from the top: signal, seen, answers, thin where wrong"
     props = (Prop("board", "box", "world"), *(prop for row in _ROWS for prop in row.props))
 
     def topology(self, hidden: Sequence[int] | None = None) -> Topology:
@@ -131,11 +131,10 @@ class Filtering(FiniteWorld):
 
     def _words(self, state: Array) -> str:
         signal, seen, answer = (int(x) for x in self.read(state[None])[0])
-        rows = "rows from the top: signal, seen, answers, thin where wrong"
         if not answer:
-            return rows
+            return "nothing is answered yet"
         verdict = "right" if answer == signal else "wrong"
-        return f"signal `{signal:+d}`, seen `{seen:+d}`, answer `{answer:+d}`: {verdict} · {rows}"
+        return f"signal `{signal:+d}`, seen `{seen:+d}`, answer `{answer:+d}`: {verdict}"
 
 
 @cache

@@ -36,6 +36,7 @@ class Pendulum(Task):
         Output("thrust x", "+10 N along x", "−10 N along x"),
         Output("thrust y", "+10 N along y", "−10 N along y"),
     )
+    legend = f"puck and rod: {_DRAWN:g} times their size"
     hidden = (4,)
     dt = PLANT.time_step
     weight_range = 0.05
@@ -64,8 +65,8 @@ class Pendulum(Task):
         ),
         "best": Preset(
             0.985, 2.5e-2,
-            "as quick, with a reward baseline, a γ that begins larger and falls, "
-            "a trace a third longer, and 8 hidden units for 4",
+            "as quick, with a reward baseline, a γ that begins larger and falls, a trace a third "
+            "longer, and twice the hidden units",
             {"gains": (1.0, 2.0, 10.0, 2.0)},
             rule="baseline:time=10000", fall=1e7, hidden=(8,),
         ),
@@ -174,10 +175,7 @@ def _poses(states: Array) -> tuple[Array, Array, Array]:
 
 
 def _words(state: Array) -> str:
-    return (
-        f"tilt `{_tilt(state[6]):4.1f}°` · puck at `{state[0]:+.2f}, {state[1]:+.2f} m` · "
-        f"puck and rod drawn {_DRAWN:g} times their size"
-    )
+    return f"tilt `{_tilt(state[6]):4.1f}°` · puck at `{state[0]:+.2f}, {state[1]:+.2f} m`"
 
 
 def _tilt(upward: Any) -> Any:

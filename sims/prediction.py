@@ -91,8 +91,8 @@ class Prediction(FiniteWorld):
     presets = {
         "quick": Preset(
             0.8, 1e-2,
-            "not in the paper, which names prediction without a task; "
-            "its rule, but the inputs reach the outputs directly too",
+            "the paper's rule; the task is not the paper's, and its inputs also reach the outputs "
+            "directly",
         ),
     }  # fmt: skip
     measure = Measure("share of right predictions", "right", span=(0.0, 1.0))
@@ -103,6 +103,7 @@ class Prediction(FiniteWorld):
         Reading("predicted", "0 red, 1 amber, 2 green", steps=True),
         Reading("right", "1 right, 0 wrong", steps=True),
     )
+    legend = "rows from the back: lights, predictions, small where wrong"
     props = (
         Prop("floor", "box", "world"), Prop("post", "box", "world strong"),
         *(Prop(f"{light} off", "sphere", "world") for light in LIGHTS),
@@ -143,11 +144,8 @@ class Prediction(FiniteWorld):
     def pose(self, state: Array) -> Pose:
         position, rotation, scale = self.poses(state[None])
         light, said, right = (int(x) for x in self.read(state[None])[0])
-        verdict = f", predicted was {LIGHTS[said]}: {'right' if right else 'wrong'}"
-        words = (
-            f"it is **{LIGHTS[light]}**{verdict if said != NOTHING else ''} · rows from the back: "
-            "the lights, what was predicted for each, small where wrong"
-        )
+        verdict = "as predicted" if right else f"predicted was {LIGHTS[said]}"
+        words = f"it is **{LIGHTS[light]}**{f', {verdict}' if said != NOTHING else ''}"
         return Pose(position[0], rotation[0], scale[0], words)
 
     def poses(self, states: Array) -> strip.Poses:

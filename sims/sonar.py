@@ -294,8 +294,5 @@ def _words(state: Array) -> str:
     names = {MINE: "mine", ROCK: "rock"}
     pattern = int(state[_PATTERN])
     truth, said = names[load()[pattern, ENERGIES]], names[float(state[_PREDICTION])]
-    verdict = "right" if truth == said else "wrong"
-    return (
-        f"epoch {int(state[_EPOCH]) + 1}, pattern {pattern + 1}: a {truth} — "
-        f"the network says {said}, {verdict}"
-    )
+    verdict = "as predicted" if truth == said else f"predicted was {said}"
+    return f"epoch {int(state[_EPOCH]) + 1}, pattern {pattern + 1}: a {truth}, {verdict}"
