@@ -147,8 +147,7 @@ def check_change(widget: Any, updates: dict[str, Any]) -> None:
     rule, value = _RULES.get(type(widget), _closed_rule), updates["value"]
     wanted = "enabled first" if widget.disabled else rule(widget, value)
     if wanted is not None:
-        line = f"{label} must be {wanted}, got {shown(value)}"
-        raise Refused("value", f"refused a value from a page: {line}", widget)
+        raise Refused("value", f"{label} must be {wanted}, got {shown(value)}", widget)
 
 
 _short = reprlib.Repr()

@@ -116,9 +116,9 @@ def test_what_holds_already_or_is_wiped_out_changes_nothing(
 @pytest.mark.parametrize(
     ("label", "text", "said"),
     [
-        ("γ", "hello", "γ must be from 0.0 to 1000.0, got 'hello'"),
-        ("β", "1", "β must be from 0.0 to 0.999999, got '1'"),
-        ("β", "nan", "β must be from 0.0 to 0.999999, got 'nan'"),
+        ("γ", "hello", "γ must be from 0 to 1000, got 'hello'"),
+        ("β", "1", "β must be from 0 to 0.999999, got '1'"),
+        ("β", "nan", "β must be from 0 to 0.999999, got 'nan'"),
         ("seed", "1e10", "seed must be a whole number from 0 to 4294967295, got '1e10'"),
         ("steps/s", "fast", "speed must be steps per second, realtime or max, got 'fast'"),
     ],
