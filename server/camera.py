@@ -9,6 +9,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from hebbviz.task import Task
 from server.look import network_at, place
 from server.picture import Picture
 from server.stage import half_apart
@@ -106,6 +107,11 @@ def _pose(client: viser.ClientHandle, view: str, picture: Picture) -> tuple[Arra
 def _stands_at(client: viser.ClientHandle, pose: tuple[Array, Array]) -> bool:
     away = client.camera.position - pose[0], client.camera.look_at - pose[1]
     return bool(np.abs(away).max() < NEAR_ENOUGH)
+
+
+def views(task: Task) -> tuple[str, ...]:
+    """Those of a task: without a world all of them are one."""
+    return VIEWS if task.props else (OVERVIEW,)
 
 
 def view_of(view: str, picture: Picture) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from hebbviz.limits import LARGEST_GAMMA
 from hebbviz.switches import Switch
 from hebbviz.task import Control, Task
 from hebbviz.topology import parse_hidden
-from server import words
+from server import palette, words
 from server.commands import (
     MAX,
     REALTIME,
@@ -72,6 +72,7 @@ class Controls:
             self._build_learning()
         self._rule = RuleControls(widgets, learning)
         self._task_folder = gui.add_folder("By hand")
+        self._task_folder_at = self._task_folder.order
         with self._task_folder:
             self._build_reward()
         with gui.add_folder("Watch"):
@@ -87,7 +88,9 @@ class Controls:
         self.task = gui.add_dropdown("task", tuple(TASKS), hint="the world to learn in")
         self.preset = gui.add_dropdown("preset", ("quick",), hint="a setting of the task")
         self.preset_note = gui.add_markdown("")
-        self.pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, hint="space")
+        self.pause = gui.add_button(
+            "Pause", icon=viser.Icon.PLAYER_PAUSE, color=palette.BRAND, hint="space"
+        )
         self.steps = gui.add_button_group("step", ("1 step", "10", "100"), hint="N: one step")
         self.reset = gui.add_button(
             "Reset", icon=viser.Icon.RESTORE, hint="R: same seed, keeps β, γ"
@@ -221,10 +224,12 @@ class Controls:
         assign(self.task, "value", picture.task_name)
         assign(self.preset, "options", tuple(task.presets))
         assign(self.preset, "value", task.plain_preset)
-        self.preset_note.content = f"{task.summary}. *{task.note}.*"
+        self.preset_note.content = f"{task.summary}. *{task.preset.note}.*"
         assign(self.amount, "value", task.hand_reward)
         self._build_switches(task)
         self._build_task_buttons(task)
+        by_hand = self._run_folder.order + 0.25 if task.controls else self._task_folder_at
+        assign(self._task_folder, "order", by_hand)
 
     def _build_switches(self, task: Task) -> None:
         """What the task can have on or off, below its preset."""
@@ -332,7 +337,7 @@ def _parsed(kind: Callable[[str], N], text: str, must_be: str, least: N, most: N
     except ValueError:
         value = most + 1
     if not least <= value <= most:
-        raise ValueError(f"{must_be} from {least} to {most}, got {text[:40]!r}")
+        raise ValueError(f"{must_be} from {least:.10g} to {most:.10g}, got {text[:40]!r}")
     return value
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hebbviz.moments import Frame
 from hebbviz.task import Prop, Task
-from hebbviz.topology import Projection, Topology
+from hebbviz.topology import Topology
 from server import palette
 from server.palette import Pixels, Rgb, Theme
 
@@ -244,32 +244,18 @@ class Looks:
             shares[where] = frame.trace[where] / scale.fit(largest)
         return shares
 
-    def legend(self, frame: Frame) -> str:
+    def legend(self) -> str:
         """The scales in words, for the page."""
-        lines = [f"full width of a synapse: |w| = {self.weight_scale.full:g}"]
-        for p, scale, beta in zip(
-            self.topology.projections, self.trace_scales, frame.beta, strict=True
-        ):
-            spread = expected_spread(self.topology, p, frame.activity, float(beta))
-            times = f", {scale.full / spread:.2g} × its expected spread" if spread > 0 else ""
-            lines.append(f"full trace bar, {p.name}: |z| = {scale.full:g}{times}")
-        lines.append(f"full input bar: {self.input_scale.full:g}")
-        return "; ".join(lines)
+        bars = ", ".join(
+            f"{p.name} |z| = {scale.full:g}"
+            for p, scale in zip(self.topology.projections, self.trace_scales, strict=True)
+        )
+        inputs = f"; full input bar: {self.input_scale.full:g}" if self.topology.inputs else ""
+        return f"full width: |w| = {self.weight_scale.full:g}; full trace bar: {bars}{inputs}"
 
 
 def _largest(arrays: Iterable[Array]) -> float:
     return max(float(np.abs(a).max(initial=0.0)) for a in arrays)
-
-
-def expected_spread(
-    topology: Topology, projection: Projection, activity: Array, beta: float
-) -> float:
-    """About the standard deviation of z for a neuron that fires half of the time.
-
-    0.5·|u_pre|/√(1−β²), with the root mean square of the presynaptic activities now.
-    """
-    u = activity[topology.units_of(projection.pre)]
-    return float(0.5 * np.sqrt(np.mean(u**2)) / np.sqrt(1.0 - beta**2))
 
 
 def largest_synapses(weight: Array, most: int = MOST_SYNAPSES_DRAWN) -> NDArray[np.intp]:

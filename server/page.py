@@ -15,7 +15,7 @@ from typing import Any
 
 import viser
 
-from server import camera, palette, words
+from server import camera, palette, style, words
 from server.commands import Probe, ShowBeginning
 from server.controls import Controls
 from server.estimate import knows_its_truth
@@ -27,7 +27,7 @@ from server.picture import Picture
 from server.record import Record
 from server.stage import Picks, Stage, half_apart
 from server.travel import Forking, Rewind
-from server.widgets import Widgets
+from server.widgets import Widgets, assign
 from server.worker import Worker
 
 TEXT_SECONDS = 0.2
@@ -41,27 +41,6 @@ THEME_SECONDS = (0.6, 2.0, 6.0)
 """A page takes a while to change its theme, and charts that are made meanwhile lose their axes: all
 is made anew once the first of these is over, and the charts after each of the others, for pages
 that took longer."""
-
-GONE = """<style>
-.gone { display: none; margin: 0 0.75em 0.5em; padding: 0.5em 0.75em; border-radius: 4px;
-        background: #b00020; color: white; font-weight: 600; }
-[style*="pointer-events: none"] .gone { display: block; }
-</style><div class="gone">The server is gone: this picture is the last one. Start hebbviz again
-and this page will go on by itself.</div>"""
-"""viser's page makes its panels deaf when it loses the server; that is when this is shown."""
-
-
-SHEET = f"""<style>
-@media (max-width: 36em) {{
-  .mantine-Paper-root[style*="max-height: 60%"] {{
-    max-height: {100 * camera.SHEET:g}% !important; width: 100% !important; }}
-  .mantine-Paper-root[style*="max-height: 60%"] [style*="width: 20em"] {{
-    width: 100% !important; }}
-}}
-</style>"""
-"""Narrow windows have viser's panels in a sheet that opens over the scene, and that no server can
-close; it is kept so low that the scene is seen above it, see `camera`.
-"""
 
 
 class Page:
@@ -125,9 +104,10 @@ class Page:
             )
         gui.main_panel.dock_right()
         gui.main_panel.set_width(340)
-        gui.add_html(GONE + SHEET)
+        gui.add_html(style.PAGE)
         self._status = gui.add_markdown("")
         self._warning = gui.add_markdown("", visible=False)
+        self._key = gui.add_markdown("")
         self._build_controls(Widgets(gui, worker.send, self.notify), picture.seed)
         self._build_view(gui)
         self._health = gui.add_markdown("")
@@ -156,8 +136,9 @@ class Page:
             for key, tab in tabs.items()
         }
         upper.dock_left()
-        upper.set_width(COLUMN)
         lower.dock_below(upper)
+        for panel in self._beside:  # the width of the one is lost at times as the other docks
+            panel.set_width(COLUMN)
         return made
 
     def _remake_tabs(self, picture: Picture) -> None:
@@ -174,9 +155,9 @@ class Page:
 
     def _build_view(self, gui: viser.GuiApi) -> None:
         with gui.add_folder("View"):
-            view = gui.add_button_group("camera", camera.VIEWS)
+            self._view = view = gui.add_button_group("camera", camera.VIEWS)
             theme = gui.add_dropdown("theme", tuple(THEMES), initial_value=self._theme.name)
-            self._legend = gui.add_markdown("")
+            self._scales = gui.add_markdown("")
 
         @view.on_click
         def _(event: Any) -> None:
@@ -200,6 +181,8 @@ class Page:
         self._stage = self._new_stage("this", picture, self._looks)
         self._panels = Panels(self._server.gui, self._tabs, picture, theme)
         self._frame_camera(picture)
+        self._key.content = words.key(task)
+        assign(self._view, "options", camera.views(task))
         another = self._built is None or self._built[:2] != (task, topology)
         for client in self._server.get_clients().values():
             self._connected(client)
@@ -343,15 +326,15 @@ class Page:
             follower.follow(picture)
         pose = picture.task.pose(picture.shown.world)
         said = (*words.besides(picture), words.shown(picture), pose.words)
-        self._status.content = "\n\n".join(said)
+        self._status.content = "\n\n".join(filter(None, said))
         self._controls.say_speed(words.speed(picture))
         warning = words.warning(picture)
         self._warning.visible = warning is not None
         self._warning.content = f"⚠ **{warning}**" if warning else ""
         drawn = 0 if self._stage is None else self._stage.drawn
-        self._legend.content = words.legend(picture.shown, self._looks, drawn)
+        self._scales.content = words.scales(self._looks, drawn)
         self._health.content = words.health(
-            picture, self._pictures_per_second(), time.monotonic() - picture.made_at,
+            self._pictures_per_second(), time.monotonic() - picture.made_at,
             len(self._server.get_clients()),
         )  # fmt: skip
         for inspector in self._inspectors.values():

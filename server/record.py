@@ -74,7 +74,7 @@ def _status(status: Status, *, on: bool) -> str:
     state = "recording into" if on else "recorded in"
     return (
         f"{state} {_code(status.where)}  \n{words.clock(status.seconds)}, {words.recorded(status)}"
-        f"\n\n*The rule: {status.rule}.*"
+        f"\n\n*{status.rule}*"
     )
 
 

@@ -35,14 +35,6 @@ TRY_IT = (
 )
 SAME_CHANCE = "*Both copies draw the same random numbers; whatever you change is changed in both.*"
 
-WIDE_SLIDER = """<style>
-.mantine-Slider-root:not(:has(.mantine-Slider-mark)) + .mantine-NumberInput-root { display: none; }
-</style>"""
-"""The box beside a slider has room for five digits; steps have more, and a field of their own.
-
-This slider alone has no marks, by which the style knows it.
-"""
-
 
 class Rewind:
     """The folder that shows the past: where in it, and what to do there."""
@@ -56,7 +48,6 @@ class Rewind:
                     hint="drag to any step of the past; the run is paused meanwhile",
                 )
             )  # fmt: skip
-            gui.add_html(WIDE_SLIDER)
             self.events = gui.add_button_group("jump to", tuple(EVENTS), hint="J, K: changes")
             self._build_past(gui)
         self._ui.when(self.slider, self._seek)

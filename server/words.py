@@ -80,8 +80,8 @@ def shown(picture: Picture) -> str:
     """Which steps are seen, how many in one picture, and what the neurons' light means."""
     lengths = [f.since.steps for f in moved(picture.shown_trail)]
     each = max(lengths[-1 if picture.paused else -3 :], default=1)
-    light = "a lit neuron fired" if each <= 3 else "light is the firing rate"
-    scale = f"one picture = {steps(each)}: {light}"
+    light = "spikes" if each <= 3 else "firing rate"
+    scale = f"one picture = {steps(each)}, light = {light}"
     excerpt = picture.excerpt
     if picture.past is not None:
         return f"{_past(picture, picture.past)}{scale}"
@@ -91,7 +91,7 @@ def shown(picture: Picture) -> str:
     kind = "latest reward, slow motion" if excerpt.is_reward else "excerpt"
     return (
         f"**{kind}: step {count(excerpt.now)}** of {count(excerpt.first)}–{count(excerpt.last)} "
-        f"(the run is at {count(picture.live.step)}) · {scale}"
+        f"(run: {count(picture.live.step)}) · {scale}"
     )
 
 
@@ -99,12 +99,14 @@ def _past(picture: Picture, past: Past) -> str:
     """Where in the run the step is that is shown of the past, and what is known of it."""
     dt = picture.task.dt
     time = f" · {clock(past.cursor * dt)}" if dt else ""
-    own = past.check is Check.OWN
     state = "paused" if picture.paused else "playing"
-    kind = "the run itself rests" if own else "a recording, played back"
+    if past.check is Check.OWN:
+        kind = "the run is paused meanwhile"
+    else:
+        kind = f"a recording, played back · *{past.check.value}*"
     return (
         f"**past: step {count(past.cursor)}** of {count(picture.first)}–{count(picture.live.step)}"
-        f"{time}  \n{state} · {kind} · *{past.check.value}*  \n"
+        f"{time}  \n{state} · {kind}  \n"
     )
 
 
@@ -135,7 +137,7 @@ def besides(picture: Picture) -> list[str]:
             f"**{other.words}**"
         )
     if picture.records and picture.recording is not None:
-        lines.append(f"<span style='color:{palette.css(palette.PUNISHMENT)}'>●</span> recording")
+        lines.append(f"{_dot(palette.PUNISHMENT)} recording")
     return lines
 
 
@@ -222,10 +224,9 @@ def _stuck(frame: Frame, rate: Array, low: Array, high: Array, steps: int) -> st
     return None
 
 
-def health(picture: Picture, pictures_per_second: float, age: float, tabs: int) -> str:
-    """The line that tells whether all is well."""
+def health(pictures_per_second: float, age: float, tabs: int) -> str:
+    """The line that tells whether all is well with the page."""
     return (
-        f"`{short(picture.steps_per_second):>7} steps/s` · "
         f"`{pictures_per_second:4.1f} pictures/s` · `{1000 * age:3.0f} ms old` · "
         f"{tabs} tab{'s' * (tabs != 1)}"
     )
@@ -244,25 +245,26 @@ def speed(picture: Picture) -> str:
     return f"reached: {reached}{times}{time_of(picture.task, picture.live.step)}{all_lanes}"
 
 
-def legend(frame: Frame, looks: Looks, drawn: int) -> str:
-    """Colours and scales."""
-    p, css = palette, palette.css
-    all_synapses = frame.topology.synapses
-    some = f" The {count(drawn)} largest of {count(all_synapses)} are drawn." * (
-        drawn < all_synapses
+def key(task: Task) -> str:
+    """What the colours mean."""
+    p, dot = palette, _dot
+    inputs = f" {dot(p.INPUT_POSITIVE)} {dot(p.INPUT_NEGATIVE)} input, a level"
+    lines = (
+        f"{dot(p.SPIKE)} spike, or firing rate{inputs if task.inputs else ''}",
+        f"{dot(p.WEIGHT_POSITIVE)} w > 0 {dot(p.WEIGHT_NEGATIVE)} w < 0: its width is |w|",
+        f"{dot(p.TRACE_POSITIVE)} z > 0 {dot(p.TRACE_NEGATIVE)} z < 0: trace, a bar on a synapse",
+        f"{dot(p.REWARD)} reward {dot(p.PUNISHMENT)} punishment: its glow is Δw",
+        task.legend,
     )
-    return "\n".join((
-        f"- {_dot(css(p.SPIKE))} spike, or firing rate",
-        f"- {_dot(css(p.WEIGHT_POSITIVE))} w > 0 {_dot(css(p.WEIGHT_NEGATIVE))} w < 0: "
-        f"width is |w|.{some}",
-        f"- {_dot(css(p.TRACE_POSITIVE))} z > 0, up {_dot(css(p.TRACE_NEGATIVE))} z < 0, down: "
-        "the bar on each synapse is its eligibility trace",
-        f"- {_dot(css(p.INPUT_POSITIVE))} {_dot(css(p.INPUT_NEGATIVE))} input values, as levels",
-        f"- {_dot(css(p.REWARD))} reward {_dot(css(p.PUNISHMENT))} punishment; the glow on the "
-        "synapses is the Δw it made",
-        f"- {looks.legend(frame)}",
-    ))  # fmt: skip
+    return "  \n".join(filter(None, lines))
 
 
-def _dot(color: str) -> str:
-    return f"<span style='color:{color}'>●</span>"
+def scales(looks: Looks, drawn: int) -> str:
+    """What the full sizes in the scene stand for, and how many of the synapses are drawn."""
+    all_synapses = looks.topology.synapses
+    some = f"; the {count(drawn)} largest of {count(all_synapses)} synapses are drawn"
+    return f"{looks.legend()}{some if drawn < all_synapses else ''}"
+
+
+def _dot(color: palette.Rgb) -> str:
+    return f"<span style='color:{palette.css(color)}'>●</span>"

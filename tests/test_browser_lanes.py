@@ -107,10 +107,9 @@ def test_many_lanes_are_seen_whatever_is_chosen(site: Site, browser: Browser) ->
         only_centred = {"centred": True, "scaled": False, "constant": False}
         eventually(page, lambda: latest(site).task.settings == only_centred)
         assert latest(site).task.preset_name == "quick:centred=yes"
-        eventually(page, lambda: "less their mean" in text_of(page) and box.is_checked())
+        eventually(page, box.is_checked)
         row(page, "constant").get_by_role("checkbox").click()
         eventually(page, lambda: latest(site).task.preset_name == "quick:centred=yes,constant=yes")
-        eventually(page, lambda: "always the same" in text_of(page))
         eventually(page, lambda: latest(site).live.step > 20_000)
 
         worker(site).send(Reset(lanes=8))

@@ -168,7 +168,7 @@ def test_dragging_shows_the_past_and_the_run_rests(page: Page, live: Live) -> No
     end = live.picture.live.step
     eventually(page, lambda: 0.45 * end < (past_shown(page) or 0) < 0.55 * end)
     eventually(page, lambda: slider_at(page) == past_shown(page) == cursor(live))
-    assert "the run itself rests" in text_of(page)
+    assert "the run is paused meanwhile" in text_of(page)
     press(page, "Back to now")
     eventually(page, lambda: live.picture.live.step > end + 20)
     eventually(page, lambda: past_shown(page) is None)

@@ -22,7 +22,6 @@ from server.look import (
     Looks,
     Scale,
     endpoints,
-    expected_spread,
     largest_synapses,
     place,
     unit_names,
@@ -44,20 +43,6 @@ def test_a_scale_covers_its_values_and_moves_only_when_it_must(values: list[floa
             assert full == before
         mantissa = full / 10 ** np.floor(np.log10(full) + 1e-9)
         assert min(abs(mantissa - m) for m in (1, 2, 5, 10)) < 1e-6
-
-
-@pytest.mark.parametrize("beta", [0.0, 0.9, 0.99])
-def test_the_expected_spread_of_a_trace_is_the_one_it_has(beta: float) -> None:
-    """At w = 0 a neuron fires half of the time: std z = 0.5·|u_pre|/√(1−β²)."""
-    learner = Learner(make_task("sonar"), beta=beta, gamma=0.0, lanes=256)
-    learner.set_weights(np.zeros_like(learner.weights))
-    learner.skip(900)
-    into_output = learner.topology.synapses_of(1)
-    measured = learner.traces[into_output].std()
-    expected = expected_spread(
-        learner.topology, learner.topology.projections[1], learner.activities[:, 0], beta
-    )
-    assert measured == pytest.approx(expected, rel=0.06)
 
 
 def test_every_synapse_runs_between_its_units_at_any_topology() -> None:

@@ -1,0 +1,72 @@
+"""How viser's page is dressed: its style, a script of one line, and a word when the server is gone.
+
+What viser draws is known here by the names that Mantine, its library, gives to the parts.
+"""
+
+from __future__ import annotations
+
+from server import camera
+
+STATUS_LINES = 4
+"""Room for so many lines of the status, so that nothing below it moves when it says less."""
+
+GONE = """<div class="gone">The server is gone: this picture is the last one. Start hebbviz again
+and this page will go on by itself.</div>"""
+"""viser's page makes its panels deaf when it loses the server; that is when this is shown."""
+
+_GONE = """
+.gone { display: none; margin: 0 0.75em 0.5em; padding: 0.5em 0.75em; border-radius: 4px;
+        background: #b00020; color: white; font-weight: 600; }
+[style*="pointer-events: none"] .gone { display: block; }
+"""
+
+_STATUS = f"""
+div:has(> .gone) + div {{
+  min-height: calc({1.3 * STATUS_LINES:g}em + var(--mantine-spacing-xs)); }}
+"""
+
+_SHEET = f"""
+@media (max-width: 36em) {{
+  .mantine-Paper-root[style*="max-height: 60%"] {{
+    max-height: {100 * camera.SHEET:g}% !important; width: 100% !important; }}
+  .mantine-Paper-root[style*="max-height: 60%"] [style*="width: 20em"] {{
+    width: 100% !important; }}
+}}
+"""
+"""Narrow windows have viser's panels in a sheet that opens over the scene, and that no server can
+close; it is kept so low that the scene is seen above it, see `camera`.
+"""
+
+_SLIDERS = """
+.mantine-Slider-root:not(:has(.mantine-Slider-markWrapper:nth-child(2):last-child))
+  + .mantine-NumberInput-root { display: none; }
+"""
+"""The box beside a slider stays where its marks are its two ends. Elsewhere it would hold a
+logarithm, or a step of more digits than it has room for; what may be typed has its own field.
+"""
+
+_BUTTONS = """
+.mantine-Button-root[data-block]:not([style*="--button-bg"]),
+.mantine-Button-root[data-variant="outline"] {
+  --button-bg: transparent !important;
+  --button-hover: var(--mantine-color-default-hover) !important;
+  --button-color: var(--mantine-color-text) !important;
+  --button-bd: 1px solid color-mix(in srgb, var(--mantine-color-dimmed) 60%, transparent)
+    !important; }
+"""
+"""Buttons are quiet but for those that were given a colour."""
+
+_LABELS = """
+[data-mantine-color-scheme="light"] body { --mantine-color-dimmed: #5a6068; }
+[data-mantine-color-scheme="dark"] body { --mantine-color-dimmed: #a4a8b0; }
+"""
+"""Labels of more contrast than viser's, at least 4.5 to 1."""
+
+ARROWS = """<style onload="document.body.onkeydown = (event) => {
+  if (event.key.startsWith('Arrow') && event.target.closest('[role=slider], [role=tab]'))
+    event.stopPropagation(); }"></style>"""
+"""An arrow key that moves a slider does not turn the camera too, which listens further out."""
+
+STYLE = f"<style>{_GONE}{_STATUS}{_SHEET}{_SLIDERS}{_BUTTONS}{_LABELS}</style>"
+PAGE = f"{STYLE}{ARROWS}{GONE}"
+"""To be put above the status."""
