@@ -116,6 +116,8 @@ def page(tab: Page, live: Live) -> Page:
     wait_until(lambda: live.picture.live.step == CHANGED_AT, 20.0)
     live.send(SetBeta(0.9), StepOnce(STEPS - CHANGED_AT))
     wait_until(lambda: live.picture.live.step == STEPS and live.picture.past is None, 20.0)
+    controls = live.site._page._controls  # type: ignore[union-attr]
+    wait_until(lambda: controls._ui.picture.run_number == live.picture.run_number, 20.0)
     expect(field(tab, "β")).to_have_value("0.9")
     tab.get_by_role("button", name="Run", exact=True).wait_for()
     eventually(tab, lambda: slider_at(tab) == STEPS)
