@@ -97,10 +97,14 @@ def set_measure_axis(axes: Axes, measure: Measure) -> None:
         axes.set_yscale("log")
         axes.set_ylim(*decades(axes.dataLim.minposy, high))
         return
-    axes.ticklabel_format(axis="y", useOffset=False)
+    most = max(abs(low), abs(high))
+    if most == 0.0 or 1e-4 <= most < 1e6:
+        axes.ticklabel_format(axis="y", useOffset=False)
+    else:  # each number whole: a factor above the axis would stand on the words there
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: shown(value)))
     if measure.span is not None:
         axes.set_ylim(measure.span[0], max(measure.span[1], high))
-    elif high - low <= _FLAT * max(abs(low), abs(high)):  # its last digits are no news
+    elif high - low <= _FLAT * most:  # its last digits are no news
         room = 0.1 * abs(high) or 1.0
         axes.set_ylim(low - room, high + room)
 

@@ -38,7 +38,7 @@ _GROWING, _PER_DECADE = 500, 12
 """Segments that stretches of growing length are made of, and how many of these a decade has."""
 _SHOWN, _QUICK_SHOWN = 1000, 100
 """The last step over the first, on an axis of time that is logarithmic."""
-_BOUND = "nothing ended in that block"
+_BOUND = "in half of the runs or more nothing ended in that block"
 _GROW = "Blocks of time, a point each, are equally long on the axis, so that they grow along it."
 _TITLE_LETTERS = 76
 """In a line of the title; what a task says of itself may be longer."""

@@ -57,8 +57,8 @@ _FLAT = 2.0
 """The highest median of a flat curve over its lowest, at most."""
 
 POINT = (
-    "A point is the time of a block divided by the falls in it (○ at least this: most runs had "
-    "none); blocks are equally long on the axis, so that they grow along it."
+    "A point is the time of a block divided by the falls in it (○ at least this: half of the runs "
+    "or more had none); blocks are equally long on the axis, so that they grow along it."
 )
 
 _QUICK_SECONDS = 10_000.0
