@@ -170,8 +170,14 @@ def test_a_share_that_workers_die_of_is_given_up(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_user_s_task_in_python_is_found_there(cluster):
-    plan = Plan(task=LEVER, seed=2, lanes=2, segments=3, segment_steps=300)
+def test_a_user_s_task_in_python_and_rule_are_found_there(cluster, tmp_path, monkeypatch):
+    """Also by a path from the folder that only this process is in."""
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    text = (ROOT / "hebbviz" / "rules" / "baseline.py").read_text()
+    Path("own.py").write_text(text.replace('name = "baseline"', 'name = "own"'))
+    options = {"rule": "own.py:Baseline:time=50"}
+    plan = Plan(task=LEVER, seed=2, lanes=2, segments=3, segment_steps=300, options=options)
     cluster.worker()
     with open_workers() as cores, open_workers(cluster.address) as there:
         assert np.array_equal(run(plan, there).reward, run(plan, cores).reward)

@@ -298,6 +298,44 @@ def test_a_task_that_is_edited_in_mid_run_is_refused(tmp_path, short_shares):
     assert left[0] > 0.0
 
 
+RULE = """
+from hebbviz.rules import Rule
+
+class Half(Rule):
+    name = "half"
+
+    @staticmethod
+    def modulate(memory, constants, reward, ended, sent):
+        for lane in range(len(reward)):
+            sent[lane] = 0.5 * reward[lane]
+"""
+
+
+def test_a_rule_of_ones_own_goes_from_process_to_process_and_may_not_be_edited(
+    tmp_path, short_shares
+):
+    own, edited = tmp_path / "rule.py", tmp_path / "edited.py"
+    own.write_text(RULE)
+    plan = replace(PULLS, options={"rule": f"{own}:Half", "fall": 1e3}, segments=20)
+    learner = Learner(make_task(LEVER), rule=plan.rule(), fall=1e3, seed=2, lanes=3)
+    totals = [learner.skip_tallied(plan.segment_steps) for _ in range(plan.segments)]
+
+    def edit(fraction):
+        if fraction > 0.0:
+            edited.write_text(RULE.replace("0.5", "0.25"))
+            edited.replace(own)
+
+    with open_workers() as cores, pytest.raises(ChangedTask, match=r"rule.py:Half: the file is"):
+        run(plan, cores, folder=tmp_path / "kept", progress=edit)
+    own.write_text(RULE)
+    with open_workers() as cores:  # new processes, which have read nothing yet
+        curves = run(plan, cores, folder=tmp_path / "kept", progress=(left := []).append)
+    assert left[0] > 0.0
+    assert np.array_equal(curves.reward.T, [[t.reward for t in lanes] for lanes in totals])
+    assert np.array_equal(curves.broadcast.T, [[t.broadcast for t in lanes] for lanes in totals])
+    assert np.array_equal(curves.broadcast, 0.5 * curves.reward)
+
+
 def _die(*_):
     os.kill(os.getpid(), signal.SIGKILL)
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from hebbviz.files import BadFile, read_arrays, write_arrays
 from hebbviz.moments import Keyframe
+from hebbviz.rules.paper import PAPER
 from server.experiments.plan import Plan
 from server.experiments.share import Tile
 from server.terminal import tell, writing
@@ -64,7 +65,7 @@ class Store:
             for name, array in arrays.items()
             if name.startswith(_KEYFRAME)
         }
-        keyframe = replace(self._plan.learner(first, lanes).keyframe(), **kept)
+        keyframe = replace(self._plan.learner(first, lanes).keyframe(), rule=PAPER, **kept)
         figures = {name: arrays[f"figure {k}"] for k, name in enumerate(header["figures"])}
         return Tile(first, lanes, keyframe, arrays["totals"], figures)
 
