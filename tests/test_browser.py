@@ -283,9 +283,9 @@ def test_buttons_stay_where_they_are_whatever_the_status_says(page: Page, live: 
     reset = page.get_by_role("button", name="Reset", exact=True)
     eventually(page, lambda: "live, step" in text_of(page))
     place = reset.bounding_box()
+    eventually(page, lambda: live.picture.live.tally.ended > 0)
     pause(page, live)
     assert reset.bounding_box() == place
-    eventually(page, lambda: live.picture.live.step > 0)
     page.keyboard.press("l")
     eventually(page, lambda: "latest reward, slow motion" in text_of(page))
     assert reset.bounding_box() == place
