@@ -41,7 +41,7 @@ def brought_on(plan, tile, seconds):
 
 @pytest.fixture
 def short_shares(monkeypatch):
-    monkeypatch.setattr(workers, "SHARE_SECONDS", 0.001)
+    monkeypatch.setattr(workers, "SHARE_SECONDS", 0.01)
 
 
 def same(a, b):
@@ -150,7 +150,8 @@ def test_a_lane_that_was_kept_twice_is_run_once(kept, tmp_path, short_shares):
         assert same(curves, run(plan, cores))
 
 
-def test_a_stopped_run_goes_on_and_nothing_is_done_twice(tmp_path, short_shares):
+def test_a_stopped_run_goes_on_and_nothing_is_done_twice(tmp_path, monkeypatch):
+    monkeypatch.setattr(workers, "SHARE_SECONDS", 0.001)  # a hundredth of it, on a fast machine too
     stop, first, second = threading.Event(), [], []
 
     def stop_later(fraction):
