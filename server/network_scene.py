@@ -100,9 +100,13 @@ class NetworkScene:
         self._say(self._world_label, world, 1)
 
     def _say(self, label: Any, words: str, rank: int) -> None:
-        if bool(label.text) != bool(words):
-            label.position = self._over(rank) if words else OUT_OF_SIGHT
-        if label.text != words:
+        """One that says nothing any more is moved away with its words: viser's page would draw a
+        label without a text as a bar for a moment.
+        """
+        position = self._over(rank) if words else OUT_OF_SIGHT
+        if not np.array_equal(label.position, position):
+            label.position = position
+        if words and label.text != words:
             label.text = words
 
     # Building

@@ -246,6 +246,6 @@ def _curves_of(topology: Topology) -> dict[str, slice]:
 
 def _key(colors: dict[str, Rgb]) -> str:
     return " ".join(
-        f"<span style='color:{palette.css(color)}'>■</span> {name}"
+        f"<span style='color:{palette.css(color)}'>■</span>&nbsp;" + name.replace(" ", "&nbsp;")
         for name, color in colors.items()
     )
