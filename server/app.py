@@ -16,6 +16,7 @@ from server.making import maker
 from server.page import Page
 from server.recording.recordings import Options, Recordings
 from server.run import Run
+from server.session import Session
 from server.train import announced_compiling, warm_up
 from server.window import open_window
 from server.worker import Worker
@@ -118,10 +119,11 @@ class Site:
     def _show(self, stop: threading.Event, *, open_browser: bool) -> None:
         try:
             page = self._page = Page(self._server)
-            worker = self._worker = Worker(
+            session = Session(
                 self._run, on_notice=page.notify, recordings=self._recordings,
                 in_the_past=self._past,
             )  # fmt: skip
+            worker = self._worker = Worker(session)
             if self._speed is not None:
                 worker.send(SetSpeed(self._speed))
             worker.start()

@@ -159,10 +159,6 @@ class Chart:
     def show(self, seen: bool) -> None:
         assign(self._plot, "visible", seen)
 
-    def renew(self) -> None:
-        """Have its uPlot made anew, with what it shows; not all survive a change of theme."""
-        self._plot.scales = self._scales()
-
     def remove(self) -> None:
         self._style.remove()
         self._plot.remove()

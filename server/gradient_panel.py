@@ -66,9 +66,6 @@ class GradientPanel:
         for handle in (self._head, self._words, self._bars, self._chart, self._chart_words):
             handle.remove()
 
-    def renew(self) -> None:
-        self._chart.renew()
-
     def draw(self, picture: Picture) -> None:
         """Renew everything, of the run itself or of what is shown of its past."""
         frame = picture.live if picture.past is None else picture.shown

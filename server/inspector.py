@@ -46,9 +46,6 @@ class Inspector:
     def remove(self) -> None:
         self._folder.remove()
 
-    def renew(self) -> None:
-        self._chart.renew()
-
     def pick_unit(self, unit: int) -> None:
         """Follow a neuron (inputs too: what they send)."""
         if 0 <= unit < self._topology.units:

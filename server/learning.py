@@ -62,9 +62,6 @@ class Learning:
         for handle in (self._chart, self._words):
             handle.remove()
 
-    def renew(self) -> None:
-        self._chart.renew()
-
     def draw(self, picture: Picture) -> None:
         curve, all_lanes = picture.curve, None
         if self._has_lanes:

@@ -87,6 +87,7 @@ def saved_task(args: argparse.Namespace, file: str | Path, name: str, preset: st
     """
     from sims import TASKS
     from sims.loading import make_task
+    from sims.own import own_file
 
     if name in TASKS:
         if args.task not in (None, name):
@@ -96,7 +97,8 @@ def saved_task(args: argparse.Namespace, file: str | Path, name: str, preset: st
         raise InputError(
             f"{file} holds a task of yours, {name!r}: name its file again, with --task path.py:Name"
         )
-    if args.task in TASKS or (".py:" in name and _class_of(name) != _class_of(args.task)):
+    is_own = own_file(name)[0] is not None
+    if args.task in TASKS or (is_own and _class_of(name) != _class_of(args.task)):
         raise _contradiction(file, "--task", args.task, name)
     return _at_preset(args, file, make_task(args.task, preset))
 

@@ -37,10 +37,9 @@ COLUMN = 348
 NOTICE_SECONDS = 6.0
 FAILED_SECONDS = 0.2
 """What fails to be drawn, picture after picture, must not take the machine."""
-THEME_SECONDS = (0.6, 2.0, 6.0)
-"""A page takes a while to change its theme, and charts that are made meanwhile lose their axes: all
-is made anew once the first of these is over, and the charts after each of the others, for pages
-that took longer."""
+THEME_SECONDS = 0.6
+"""A page takes a while to change its theme: all is made anew once it is over. For a page that takes
+longer, each drawing of a chart makes its uPlot anew."""
 
 
 class Page:
@@ -62,7 +61,6 @@ class Page:
         self._text_at = 0.0
         self._failed: str | None = None
         self._theme_at = 0.0
-        self._renew_at: list[float] = []
         self._drawn_at: deque[float] = deque(maxlen=60)
         self._probes: tuple[int, ...] = ()
         self._worker: Worker | None = None
@@ -284,8 +282,9 @@ class Page:
         with self._lock:
             if self._theme_changed:
                 self._set_theme()
-                self._theme_at, *self._renew_at = (time.monotonic() + s for s in THEME_SECONDS)
-            self._renew(picture)
+                self._theme_at = time.monotonic() + THEME_SECONDS
+            if self._identity(picture) != self._built and time.monotonic() > self._theme_at:
+                self._rebuild(picture)
             if picture.live.topology != self._looks.topology:
                 return
             with self._server.atomic():
@@ -296,18 +295,6 @@ class Page:
             self._drawn_at.append(time.monotonic())
             if time.monotonic() - self._text_at > TEXT_SECONDS:
                 self._write(picture)
-
-    def _renew(self, picture: Picture) -> None:
-        """Make anew what belongs to another task, network or theme, once the theme is there."""
-        now = time.monotonic()
-        if self._identity(picture) != self._built:
-            if now > self._theme_at:
-                self._rebuild(picture)
-        elif self._renew_at and now > self._renew_at[0] and self._panels is not None:
-            self._renew_at.pop(0)
-            self._panels.renew()
-            for inspector in self._inspectors.values():
-                inspector.renew()
 
     def _draw_copies(self, picture: Picture) -> None:
         still = picture.paused and picture.excerpt is None

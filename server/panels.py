@@ -61,12 +61,6 @@ class Panels:
         for handle in self._handles:
             handle.remove()
 
-    def renew(self) -> None:
-        """Make the charts anew, with what they show."""
-        for handle in self._handles:
-            if isinstance(handle, (Chart, Learning, GradientPanel)):
-                handle.renew()
-
     def draw(self, picture: Picture) -> None:
         """Renew the next one in turn: all of them several times a second."""
         self._drawers[self._turn](picture)

@@ -62,7 +62,7 @@ class Session:
         recordings: Recordings | None = None,
         in_the_past: bool = False,
     ) -> None:
-        self.run, self._notice = run, on_notice
+        self.run, self.notice = run, on_notice
         self.recordings = recordings or Recordings(run, Options(), on_notice=on_notice)
         self.tempo, self._pace = Tempo(run.learner.task.dt), Pace()
         self.showing = Showing(run, on_notice)
@@ -115,14 +115,14 @@ class Session:
         try:
             self.showing.fork.follow(self.run.learner.step)
         except TaskError as error:
-            self._notice(f"the fork has ended, as in the other copy {error}")
+            self.notice(f"the fork has ended, as in the other copy {error}")
             self.showing.fork = None
 
     def stop(self, error: str) -> None:
         """Pause with an error to be shown; the run is at its last good step."""
         self.error = error
         self.tempo.pause(paused=True)
-        self._notice(error)
+        self.notice(error)
 
     def find_out(self, live: Frame) -> None:
         """What can be told beside the run, which has come to a frame."""
@@ -218,10 +218,10 @@ class Session:
     def _undo(self) -> None:
         words, learner = self.run.undo_words, self.run.learner
         if self.run.undo() is None:
-            self._notice("there is nothing to undo")
+            self.notice("there is nothing to undo")
             return
         now = self.run.learner
-        self._notice(f"undone: {words}, back at step {now.step:,}")
+        self.notice(f"undone: {words}, back at step {now.step:,}")
         self._renew(keep_evaluations_to=now.step if learner is now else -1)
         if (learner.task.name, learner.task.plain_preset) != (now.task.name, now.task.plain_preset):
             self._settle_speed()

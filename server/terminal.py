@@ -110,12 +110,9 @@ def place_in(file: Path, error: BaseException) -> str:
 
 def _own(args: argparse.Namespace) -> dict[str, Path]:
     """The user's own files, by what they were given as."""
-    given = {what: getattr(args, what, None) or "" for what in ("task", "rule")}
-    return {
-        f"{what} {spec}": Path(f"{spec.partition('.py:')[0]}.py").resolve()
-        for what, spec in given.items()
-        if ".py:" in spec
-    }
+    from sims.own import own_files
+
+    return own_files(getattr(args, "task", None), getattr(args, "rule", None))
 
 
 def finite(value: Any) -> float | None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import threading
 import time
 import traceback
-from collections.abc import Callable
 
 from hebbviz.learner import TaskError
 from server.commands import Command
@@ -17,8 +16,6 @@ from server.history import Totals
 from server.inbox import Inbox
 from server.picture import Picture
 from server.preparing import prepare
-from server.recording.recordings import Recordings
-from server.run import Run
 from server.session import Session
 
 PICTURES_PER_SECOND = 32.0
@@ -28,20 +25,10 @@ PICTURES_PER_SECOND = 32.0
 class Worker(threading.Thread):
     """Steps a run, takes commands with `send`, gives the latest Picture with `wait_for`."""
 
-    def __init__(
-        self,
-        run: Run,
-        *,
-        on_notice: Callable[[str], None],
-        recordings: Recordings | None = None,
-        in_the_past: bool = False,
-    ) -> None:
+    def __init__(self, session: Session) -> None:
         super().__init__(name="hebbviz worker", daemon=True)
-        self._notice = on_notice
-        self._session = Session(
-            run, on_notice=on_notice, recordings=recordings, in_the_past=in_the_past
-        )
-        self._inbox = Inbox(lambda command: prepare(command, run))
+        self._session = session
+        self._inbox = Inbox(lambda command: prepare(command, session.run))
         self._fresh = threading.Condition()
         self._picture: Picture | None = None
         self._stopping = threading.Event()
@@ -98,7 +85,7 @@ class Worker(threading.Thread):
             try:
                 self._session.carry_out(command)
             except (ValueError, TaskError) as error:
-                self._notice(str(error))
+                self._session.notice(str(error))
 
     def _publish(self) -> None:
         number = 1 if self._picture is None else self._picture.number + 1

@@ -16,6 +16,7 @@ from hebbviz.rules import Rule, make_rule, register
 from hebbviz.switches import UnknownPreset
 from hebbviz.task import Input, Output, Preset, Task
 from sims import task_class
+from sims.own import own_file
 
 T = TypeVar("T")
 
@@ -33,7 +34,7 @@ def make_task(name: str, preset: str | None = None) -> Task:
     TaskError
         If a user's file or class raises.
     """
-    if ".py:" in name:
+    if own_file(name)[0] is not None:
         return _make(_class_from_file(name, Task), name, preset)
     return _make(task_class(name), name, preset)
 

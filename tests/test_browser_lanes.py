@@ -18,7 +18,6 @@ from server import camera
 from server.app import Site
 from server.commands import Choose, Pause, Reset
 from server.look import NETWORK_ALONE, NETWORK_OVER_WORLD
-from server.page import THEME_SECONDS
 from server.picture import Picture
 from server.worker import Worker
 from sims.loading import make_task
@@ -126,5 +125,5 @@ def test_many_lanes_are_seen_whatever_is_chosen(site: Site, browser: Browser) ->
             choose(page, "theme", theme)
             page.locator(f"html[data-mantine-color-scheme={theme}]").wait_for(state="attached")
             eventually(page, lambda: page.evaluate(MARKED_CHARTS) == 0)
-            page.wait_for_timeout(1000 * THEME_SECONDS[-1])
+            page.wait_for_timeout(6_000)
             eventually(page, lambda: axes_fit(page))

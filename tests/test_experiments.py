@@ -299,17 +299,7 @@ def test_a_task_that_is_edited_in_mid_run_is_refused(tmp_path, short_shares):
     assert left[0] > 0.0
 
 
-RULE = """
-from hebbviz.rules import Rule
-
-class Half(Rule):
-    name = "half"
-
-    @staticmethod
-    def modulate(memory, constants, reward, ended, sent):
-        for lane in range(len(reward)):
-            sent[lane] = 0.5 * reward[lane]
-"""
+RULE = Path(__file__).with_name("examples").joinpath("half.py").read_text()
 
 
 def test_a_rule_of_ones_own_goes_from_process_to_process_and_may_not_be_edited(

@@ -46,6 +46,7 @@ from server.recording.recorder import Recorder
 from server.recording.recordings import Options, Recordings
 from server.recording.targets import FileTarget
 from server.run import Run
+from server.session import Session
 from server.showing import NOTHING_TO_PLAY
 from server.tape import Moment, Pace, Tape
 from server.trail import STEPS
@@ -355,9 +356,10 @@ class Stage:
         self.notices: list[str] = []
         self.run = run
         self.recordings = Recordings(run, Options(folder=folder), on_notice=self.notices.append)
-        self.worker = Worker(
+        session = Session(
             run, on_notice=self.notices.append, recordings=self.recordings, in_the_past=in_the_past
         )
+        self.worker = Worker(session)
         self.worker.send(Pause(paused=True))
         self.worker.start()
 

@@ -257,7 +257,7 @@ def test_the_whole_command_is_in_the_picture():
 
 def test_a_rule_of_ones_own_is_mapped_and_its_points_can_be_opened(tmp_path, capsys):
     own = tmp_path / "own.py"
-    own.write_text(OWN_RULE)
+    own.write_text((ROOT / "tests/examples/half.py").read_text())
     argv = ["sweep", "--task", "sonar", "--hidden", "3", "--lanes", "2", "--steps", "5000",
             "--gamma", "0.01", "--fall", "1e4", "--out", str(tmp_path)]  # fmt: skip
     assert main([*argv, "--rule", f"{own}:Half"]) == 0
@@ -272,19 +272,6 @@ def test_a_rule_of_ones_own_is_mapped_and_its_points_can_be_opened(tmp_path, cap
     assert main([*argv, "--rule", "yoked"]) == 0, "lanes that touch each other are opened together"
     (point,) = json.loads(capsys.readouterr().out)["points"]
     assert make_learner(parse(shlex.split(point["open_start"])[1:])).lanes == 2
-
-
-OWN_RULE = """
-from hebbviz.rules import Rule
-
-class Half(Rule):
-    name = "half"
-
-    @staticmethod
-    def modulate(memory, constants, reward, ended, sent):
-        for lane in range(len(reward)):
-            sent[lane] = 0.5 * reward[lane]
-"""
 
 
 @pytest.mark.slow

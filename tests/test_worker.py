@@ -44,6 +44,7 @@ from server.history import CAPACITY, History, Totals
 from server.learning import evaluated
 from server.picture import Picture
 from server.run import Run
+from server.session import Session
 from server.watch import EXCERPT_SECONDS, LEAD, TAIL, Watch
 from server.worker import Worker
 from sims.loading import make_task
@@ -335,7 +336,7 @@ class Bench:
 
     def __init__(self, run: Run) -> None:
         self.run, self.notices = run, list[str]()
-        self.worker = Worker(run, on_notice=self.notices.append)
+        self.worker = Worker(Session(run, on_notice=self.notices.append))
 
     def send(self, *commands: Command) -> None:
         for command in commands:

@@ -18,6 +18,7 @@ from hebbviz.learner import Learner
 from hebbviz.rules import Rule
 from hebbviz.task import Tally, Task
 from sims.loading import load_rule, make_task
+from sims.own import own_file, own_files
 
 Array = NDArray[np.float64]
 
@@ -96,13 +97,8 @@ class Plan:
         return replace(self, task=_whole(self.task), options=options)
 
     def own(self) -> dict[str, Path]:
-        """The user's own files in it, by what they are: 'task my.py:Name', 'rule my.py:Name'."""
-        specs = {"task": self.task, "rule": self.options.get("rule", "")}
-        return {
-            f"{what} {spec}": Path(f"{spec.partition('.py:')[0]}.py")
-            for what, spec in specs.items()
-            if ".py:" in spec
-        }
+        """The user's own files in it, as `own_files` says."""
+        return own_files(self.task, self.options.get("rule"))
 
     def evaluates_at(self, step: int) -> bool:
         """Whether a frozen copy is evaluated at this step, which is the end of a segment, or 0."""
@@ -125,9 +121,6 @@ class Plan:
         return hashlib.sha256(content.encode()).hexdigest()[:16]
 
 
-# What a user's own file is given as: path.py:Name, of a rule with :parameter=value after it or not
-
-
 @cache
 def _rule(spec: str, _text: bytes) -> Rule:
     """Made once for every text of its file: what is compiled of it is kept with its class."""
@@ -136,18 +129,20 @@ def _rule(spec: str, _text: bytes) -> Rule:
 
 def _text(spec: str) -> bytes:
     """Of a user's own file, in whatever encoding; of what has none, nothing."""
-    path, own, _ = spec.partition(".py:")
-    return Path(f"{path}.py").read_bytes() if own else b""
+    file, _ = own_file(spec)
+    return b"" if file is None else file.read_bytes()
 
 
 def _content(spec: str) -> list[str]:
-    path, own, name = spec.partition(".py:")
-    return [name if own else path, _text(spec).decode(errors="surrogateescape")]
+    """What a spec says, wherever its file is."""
+    _, name = own_file(spec)
+    return [name, _text(spec).decode(errors="surrogateescape")]
 
 
 def _whole(spec: str) -> str:
-    path, own, name = spec.partition(".py:")
-    return f"{Path(f'{path}.py').resolve()}:{name}" if own else spec
+    """A spec with the whole path of its file."""
+    file, name = own_file(spec)
+    return spec if file is None else f"{file.resolve()}:{name}"
 
 
 class _Asked(Protocol):

@@ -9,7 +9,6 @@ import gc
 import logging
 import multiprocessing
 import os
-import re
 import signal
 import sys
 import threading
@@ -230,11 +229,17 @@ class _Cluster:
 
 
 def _is_address(text: str) -> bool:
-    """Whether it has the form of a scheduler's address, HOST:PORT with or without a scheme."""
-    match = re.fullmatch(
-        r"(?:(?:tcp|tls|ws|wss|ucx)://)?(?:\[[^\]\s]+\]|[^\s:/\[\]]+):(\d{1,5})", text
-    )
-    return match is not None and 0 < int(match[1]) < 2**16
+    """Whether Dask knows such addresses, of a host and a port."""
+    from distributed.comm.addressing import parse_address, parse_host_port
+    from distributed.comm.registry import get_backend
+
+    try:
+        scheme, place = parse_address(text)
+        get_backend(scheme)
+        host, port = parse_host_port(place)
+    except ValueError:
+        return False
+    return bool(host.strip()) and 0 < port < 2**16
 
 
 def _submit(executor: Executor, plan: Plan, tile: Tile, digest: str) -> Future[Tile]:

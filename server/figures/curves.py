@@ -42,9 +42,17 @@ def setting(plan: Plan) -> dict[str, Any]:
 def words_of(plan: Plan) -> str:
     """`setting` in a line, but for the lanes."""
     s = setting(plan)
-    falls = f" falling over {s['fall']:,.12g} steps" if s["fall"] is not None else ""
-    rule = "" if s["rule"] == PAPER.name else f", rule {s['rule']}"
-    return f"{s['network']}, β {s['beta']:g}, γ {shown(s['gamma'])}{falls}{rule}"
+    return f"{s['network']}, β {s['beta']:g}, γ {shown(s['gamma'])}{falling(s)}{rule_of(s)}"
+
+
+def falling(about: dict[str, Any]) -> str:
+    """What a `setting` says of γ, where it falls."""
+    return "" if about["fall"] is None else f" falling over {about['fall']:,.12g} steps"
+
+
+def rule_of(about: dict[str, Any]) -> str:
+    """What a `setting` says of the rule, where it is not the paper's."""
+    return "" if about["rule"] == PAPER.name else f", rule {about['rule']}"
 
 
 def preset_note(plan: Plan) -> str:

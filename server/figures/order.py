@@ -11,6 +11,7 @@ from pathlib import Path
 
 from server.making import DEFAULT_TASK
 from server.terminal import InputError
+from sims.own import own_file
 
 
 @dataclass(frozen=True)
@@ -156,11 +157,11 @@ def task_word(task: str) -> str:
 
 def _rule_word(rule: str) -> str:
     """A rule by its name or its file and class, with the parameters that were given."""
-    path, own, name = rule.partition(".py:")
-    if not own:
+    file, name = own_file(rule)
+    if file is None:
         return rule
     class_name, _, given = name.partition(":")
-    return "-".join(filter(None, (task_word(f"{path}.py:{class_name}"), given)))
+    return "-".join(filter(None, (task_word(f"{file}:{class_name}"), given)))
 
 
 def said(value: object) -> str:

@@ -20,6 +20,7 @@ from server.sweep.outcome import outcome
 from server.terminal import tell, writing
 from server.train import announced_on_terminal
 from sims import TASKS
+from sims.own import own_file
 
 if TYPE_CHECKING:
     from hebbviz.learner import Learner
@@ -103,6 +104,6 @@ def _opening(sweep: Sweep, learner: Learner, name: str) -> str:
         path.parent.mkdir(exist_ok=True)
         files.save(learner, path, task_name=sweep.task)
     own = [] if sweep.task in TASKS else ["--task", sweep.task]
-    if sweep.rule is not None and ".py:" in sweep.rule:
+    if sweep.rule is not None and own_file(sweep.rule)[0] is not None:
         own += ["--rule", sweep.rule]
     return shlex.join(["hebbviz", "--load", str(path), *own])

@@ -9,8 +9,7 @@ import numpy as np
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import Rectangle
 
-from hebbviz.rules.paper import PAPER
-from server.figures.curves import lane_columns, runs, setting, shown
+from server.figures.curves import falling, lane_columns, rule_of, runs, setting, shown
 from server.figures.sheet import INK, SMALL, Sheet, Table, blank, head, look
 from server.terminal import finite
 
@@ -127,9 +126,8 @@ def _draw(sweep: Sweep, task: Task, points: Sequence[Outcome], untrained: Outcom
     for k in _best(points, untrained):
         _frame(axes, *divmod(k, columns))
     about = setting(sweep.untrained)
-    rule = "" if about["rule"] == PAPER.name else f", rule {about['rule']}"
-    falls = "" if about["fall"] is None else f", γ falling over {about['fall']:,.12g} steps"
-    words = f"{about['network']}, preset {task.preset_name}{rule}{falls}"
+    falls = falling(about) and f", γ{falling(about)}"
+    words = f"{about['network']}, preset {task.preset_name}{rule_of(about)}{falls}"
     head(axes, f"{task.name}: β against γ", words)
     return figure
 

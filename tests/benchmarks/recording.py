@@ -28,6 +28,7 @@ from server.player import Check, Player  # noqa: E402
 from server.recording.reader import open_recording  # noqa: E402
 from server.recording.recordings import Options, Recordings  # noqa: E402
 from server.run import Run  # noqa: E402
+from server.session import Session  # noqa: E402
 from server.train import Recorded, train, warm_up  # noqa: E402
 from server.worker import Worker  # noqa: E402
 from sims.loading import make_task  # noqa: E402
@@ -42,7 +43,7 @@ def working(task: str, speed: float | str, file: Path | None) -> Iterator[tuple[
     warm_up(learner)
     run = Run(learner, make_task)
     recordings = Recordings(run, Options(file=file), on_notice=print)
-    worker = Worker(run, on_notice=print, recordings=recordings)
+    worker = Worker(Session(run, on_notice=print, recordings=recordings))
     worker.send(SetSpeed(speed))
     worker.send(SetWatch(on=False))
     worker.start()
