@@ -42,7 +42,8 @@ def user_can_mend(args: argparse.Namespace) -> Iterator[None]:
         raise InputError(what) from error
     except OSError as error:
         known = error.filename is not None
-        what = f"cannot open {error.filename}: {reason(error)}" if known else str(error)
+        verb = "write" if error.errno in _NO_ROOM else "open"
+        what = f"cannot {verb} {error.filename}: {reason(error)}" if known else str(error)
         raise InputError(what) from error
     except (ValueError, TaskError) as error:
         raise InputError(f"{error}{place(args, error)}") from error

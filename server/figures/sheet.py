@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
-import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,6 +27,7 @@ from numpy.typing import NDArray
 from hebbviz import __version__
 from server.palette import LIGHT, Rgb
 from server.terminal import InputError, writing
+from server.whole import whole_folder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -135,7 +135,7 @@ def _leave_foot(figure: Figure, foot: float) -> None:
 def save(sheet: Sheet, folder: Path, name: str, origin: Origin) -> list[Path]:
     """Write PNG, SVG and CSV; returns the three paths. Raises InputError.
 
-    A file is whole or not there: it gets its name when it is done, in place of an older one.
+    They get their names when all of them are done, in place of older ones.
     """
     about = origin.items()
     with look():
@@ -158,7 +158,10 @@ def save(sheet: Sheet, folder: Path, name: str, origin: Origin) -> list[Path]:
             },
         )  # fmt: skip
     made = {"png": png.getvalue(), "svg": svg.getvalue(), "csv": _csv(sheet.table, about)}
-    return [_write(folder / f"{name}.{kind}", data) for kind, data in made.items()]
+    with writing(folder / f"{name}.png"), whole_folder(folder) as part:
+        for kind, data in made.items():
+            (part / f"{name}.{kind}").write_bytes(data)
+    return [folder / f"{name}.{kind}" for kind in made]
 
 
 def check_replaces(folder: Path, name: str, command: str) -> None:
@@ -273,14 +276,3 @@ def _csv(table: Table, about: Mapping[str, str]) -> bytes:
     writer.writerow(table)
     writer.writerows(zip(*table.values(), strict=True))
     return text.getvalue().encode()
-
-
-def _write(path: Path, data: bytes) -> Path:
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    with writing(path):
-        try:
-            unfinished.write_bytes(data)
-            unfinished.replace(path)
-        finally:
-            unfinished.unlink(missing_ok=True)
-    return path

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -33,6 +33,30 @@ class Table:
 
     def __len__(self) -> int:
         return len(self.step)
+
+    @property
+    def scalars(self) -> NDArray[Any]:
+        """(n, series)."""
+        return self.columns.get("Scalars:scalars", np.zeros((0, 1)))
+
+    def head(self, rows: int) -> Table:
+        """The first rows of it."""
+        return Table(self.step[:rows], {name: c[:rows] for name, c in self.columns.items()})
+
+
+NOTHING = Table(np.zeros(0, dtype=np.int64), {})
+
+
+def parallel(rows: Mapping[str, Table], names: Sequence[str]) -> list[Table]:
+    """Tables whose rows are written together, as far as a file that may be cut has all of them.
+
+    Raises BadRecording if their steps are not the same.
+    """
+    found = [rows.get(name, NOTHING) for name in names]
+    whole = [table.head(min(map(len, found))) for table in found]
+    if any((table.step != whole[0].step).any() for table in whole):
+        raise BadRecording(f"it is damaged ({names[0]} and what belongs to it are of other steps)")
+    return whole
 
 
 def read(path: Path, size: int, entities: Sequence[str]) -> dict[str, Table]:

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from hebbviz.task import Task
 from hebbviz.topology import Topology
 from server.look import neuron_names
-from server.recording.chunks import Table, read_rows
+from server.recording.chunks import Table, parallel, read_rows
 from server.recording.header import BadRecording
 from server.recording.reader import Recording
 from server.recording.stored import matrices_of, steps_of
+from server.whole import whole_folder
 from sims.loading import make_task
 
 Array = NDArray[Any]
@@ -46,15 +47,14 @@ def export_timelines(recording: Recording, folder: Path) -> list[Path]:
     }
     for path in (p for p in rows if p.startswith("/world/")):
         groups[path.strip("/").replace("/", "_")] = _together(rows, {"value": path})
-    folder.mkdir(parents=True, exist_ok=True)
-    written = [folder / "timelines.npz"]
     arrays = {f"{group}_{name}": a for group, c in groups.items() for name, a in c.items()}
-    np.savez_compressed(written[0], **arrays)  # type: ignore[arg-type]  # its allow_pickle is none
-    for name, columns in groups.items():
-        if columns and len(columns["step"]):
-            written.append(_write_csv(folder / f"{name}.csv", columns, topology, dt))
-    written.append(_write_events(folder / "events.csv", rows.get("/events"), dt))
-    return written
+    with whole_folder(folder) as part:
+        written = [_write_npz(part / "timelines.npz", arrays)]
+        for name, columns in groups.items():
+            if columns and len(columns["step"]):
+                written.append(_write_csv(part / f"{name}.csv", columns, topology, dt))
+        written.append(_write_events(part / "events.csv", rows.get("/events"), dt))
+    return [folder / path.name for path in written]
 
 
 def export_steps(
@@ -104,10 +104,12 @@ def export_steps(
         "weight": np.array(weights),
         "trace": np.array(traces),
     }
-    folder.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(folder / "every-step.npz", **columns)  # type: ignore[arg-type]
-    csv_path = _write_csv(folder / "every-step.csv", columns, t, header.dt)
-    return [folder / "every-step.npz", csv_path]
+    with whole_folder(folder) as part:
+        written = [
+            _write_npz(part / "every-step.npz", columns),
+            _write_csv(part / "every-step.csv", columns, t, header.dt),
+        ]
+    return [folder / path.name for path in written]
 
 
 # From rows to columns
@@ -121,8 +123,8 @@ def _steps(rows: dict[str, Table], topology: Topology) -> Columns:
 
 def _weights(rows: dict[str, Table], topology: Topology) -> Columns:
     """Weights and traces, (n, synapses) in the topology's order."""
-    (step, weights), (_, traces) = (matrices_of(rows, topology, k) for k in ("weights", "traces"))
-    return {"step": step, "weights": weights, "traces": traces} if len(step) else {}
+    step, found = matrices_of(rows, topology, ("weights", "traces"))
+    return {"step": step, **found} if len(step) else {}
 
 
 def _records(table: Table | None) -> Columns:
@@ -134,18 +136,19 @@ def _records(table: Table | None) -> Columns:
 
 def _together(rows: dict[str, Table], names: dict[str, str]) -> Columns:
     """Scalars that were written at the same steps."""
-    tables = {name: rows[path] for name, path in names.items() if path in rows}
-    if not tables:
-        return {}
-    first = next(iter(tables.values()))
-    return {"step": first.step, **{name: _scalars(t) for name, t in tables.items()}}
-
-
-def _scalars(table: Table) -> Array:
-    return table.columns["Scalars:scalars"][:, 0]
+    first, *others = parallel(rows, list(names.values()))
+    values = zip(names, (first, *others), strict=True)
+    return (
+        {"step": first.step, **{name: t.scalars[:, 0] for name, t in values}} if len(first) else {}
+    )
 
 
 # Files
+
+
+def _write_npz(path: Path, arrays: Columns) -> Path:
+    np.savez_compressed(path, **arrays)  # type: ignore[arg-type]  # its allow_pickle is none
+    return path
 
 
 def _write_csv(path: Path, columns: Columns, topology: Topology, dt: float | None) -> Path:

@@ -125,10 +125,10 @@ class Recorder(Follower):
     def _new_take(self, run: Run) -> Take:
         check_recordable(run.learner.rule)
         task = run.make_task(run.task_name, run.learner.task.preset_name)
-        target = copy(self._target)  # the take before may still be writing to its own file
-        stream = target.open(len(self._takes) + 1)
         header = _header(run, self._budget, self._detail)
         weight = run.learner.weights[:, run.learner.watch]
+        target = copy(self._target)  # the take before may still be writing to its own file
+        stream = target.open(len(self._takes) + 1)
         take = Take(stream, target, header, task, weight, on_notice=self._notice)
         take.begin(run.learner, run.moment().lane(run.learner.watch))
         self._takes.append(take)

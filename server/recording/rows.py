@@ -11,7 +11,10 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
-FIRST = "hebbviz/change"
+_ORDER = ("hebbviz/change", "", "reward/raw", "reward/broadcast", "hebbviz/end")
+"""A file may be cut anywhere: no keyframe is in it without the changes before it, no step without
+its spikes, no end without all. What is not named stands in the place of "".
+"""
 NUMBER, CHECKSUM = "row", "crc32"
 """Columns of rows for programs: each has its number, so that none can be lost unnoticed."""
 
@@ -40,11 +43,9 @@ class Rows:
             entity.values.append(values)
 
     def flush(self) -> None:
-        """Send all that was added; changes first, so that a file which is cut lacks none of those
-        before a keyframe that it has.
-        """
+        """Send all that was added."""
         waiting, self._waiting = self._waiting, {}
-        for path in sorted(waiting, key=FIRST.__ne__):
+        for path in sorted(waiting, key=lambda p: _ORDER.index(p if p in _ORDER else "")):
             entity = waiting[path]
             columns = entity.make(np.concatenate(entity.values))
             self._stream.send_columns(path, self.times(np.concatenate(entity.steps)), columns)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from hebbviz.moments import Block, Frame
 from hebbviz.topology import Topology
-from server.recording.chunks import Table, read_rows
+from server.recording.chunks import NOTHING, Table, parallel, read_rows
 from server.recording.header import entity
 
 Array = NDArray[np.float64]
@@ -70,11 +71,15 @@ class Stored:
     @cached_property
     def weights(self) -> tuple[NDArray[np.int64], Array]:
         """Steps (n,), and the weights after them (n, synapses)."""
-        return matrices_of(self._rows, self._topology, "weights")
+        return self._matrices("weights")
 
     @cached_property
     def traces(self) -> tuple[NDArray[np.int64], Array]:
-        return matrices_of(self._rows, self._topology, "traces")
+        return self._matrices("traces")
+
+    def _matrices(self, kind: str) -> tuple[NDArray[np.int64], Array]:
+        step, found = matrices_of(self._rows, self._topology, [kind])
+        return step, found[kind]
 
     @cached_property
     def _rows(self) -> dict[str, Table]:
@@ -83,36 +88,43 @@ class Stored:
 
 
 def steps_of(rows: dict[str, Table], topology: Topology) -> dict[str, NDArray[Any]]:
-    """Rewards, spikes (n, neurons) and potentials (n, neurons) of the steps that were kept."""
-    reward = rows.get("/reward/raw")
-    step = np.zeros(0, dtype=np.int64) if reward is None else reward.step
+    """Rewards, spikes (n, neurons) and potentials (n, neurons) of the steps that were kept.
+
+    Of a file that was cut, the steps of which all is there: rewards are written after spikes.
+    """
+    groups = {group.name: entity(group.name) for group in topology.neuron_groups}
+    names = ["/reward/raw", "/reward/broadcast", *(f"/potentials/{n}" for n in groups.values())]
+    reward, broadcast, *potentials = parallel(rows, names)
+    step = reward.step
     fired = np.zeros((len(step), topology.neurons), dtype=np.uint8)
     potential = np.zeros((len(step), topology.neurons), dtype=np.float32)
-    for group in topology.neuron_groups:
-        name, where = entity(group.name), topology.neurons_of(group.name)
-        if (spikes := rows.get(f"/spikes/{name}")) is not None:
-            neuron = spikes.columns["Scalars:scalars"][:, 0].astype(np.int64)
-            fired[np.searchsorted(step, spikes.step), neuron] = 1
-        if (v := rows.get(f"/potentials/{name}")) is not None:
-            potential[:, where] = v.columns["Scalars:scalars"]
-    rewards = {"reward": "/reward/raw", "broadcast": "/reward/broadcast"}
-    told = {
-        name: rows[path].columns["Scalars:scalars"][:, 0] if path in rows else np.zeros(0)
-        for name, path in rewards.items()
-    }
-    return {"step": step, **told, "fired": fired, "potential": potential}
+    for (group, name), v in zip(groups.items(), potentials, strict=True):
+        potential[:, topology.neurons_of(group)] = v.scalars
+        spikes = rows.get(f"/spikes/{name}", NOTHING)
+        whole = np.isin(spikes.step, step)
+        neuron = spikes.scalars[whole, 0].astype(np.int64)
+        fired[np.searchsorted(step, spikes.step[whole]), neuron] = 1
+    return {
+        "step": step, "reward": reward.scalars[:, 0], "broadcast": broadcast.scalars[:, 0],
+        "fired": fired, "potential": potential,
+    }  # fmt: skip
 
 
 def matrices_of(
-    rows: dict[str, Table], topology: Topology, kind: str
-) -> tuple[NDArray[np.int64], Array]:
-    """Steps (n,) and weights or traces (n, synapses), in the topology's order, in float32."""
-    tables = [rows.get(f"/{kind}/{entity(p.name)}") for p in topology.projections]
-    found = [t for t in tables if t is not None]
-    if len(found) < len(tables):
-        return np.zeros(0, dtype=np.int64), np.zeros((0, topology.synapses))
-    parts = [np.array([m["buffer"] for m in t.columns["Tensor:data"]]) for t in found]
-    return found[0].step, np.concatenate(parts, axis=1).astype(np.float32)
+    rows: dict[str, Table], topology: Topology, kinds: Sequence[str]
+) -> tuple[NDArray[np.int64], dict[str, Array]]:
+    """Steps (n,), and of each kind, weights or traces, (n, synapses) in the topology's order, in
+    float32. Of a file that was cut, those of which all is there.
+    """
+    names = [entity(p.name) for p in topology.projections]
+    tables = parallel(rows, [f"/{kind}/{name}" for kind in kinds for name in names])
+    step = tables[0].step
+    if not len(step):
+        return step, {kind: np.zeros((0, topology.synapses)) for kind in kinds}
+    parts = [[m["buffer"] for m in table.columns["Tensor:data"]] for table in tables]
+    each = (parts[k * len(names) : (k + 1) * len(names)] for k in range(len(kinds)))
+    found: list[Array] = [np.concatenate(of, axis=1).astype(np.float32) for of in each]
+    return step, dict(zip(kinds, found, strict=True))
 
 
 def _latest(

@@ -41,10 +41,14 @@ class FileTarget:
         path = self._first.with_name(f"{stem}.rrd")
         path.open("xb").close()
         self.path = path
-        stream, _ = _stream()
-        # a footer would be an index of all chunks, kept in memory: 24 MB more each minute
-        stream.set_sinks(rr.FileSink(path, write_footer=False))
-        self._inode = path.stat().st_ino
+        try:
+            stream, _ = _stream()
+            # a footer would be an index of all chunks, kept in memory: 24 MB more each minute
+            stream.set_sinks(rr.FileSink(path, write_footer=False))
+            self._inode = path.stat().st_ino
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
         return stream
 
     @property

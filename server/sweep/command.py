@@ -19,12 +19,12 @@ from server.sweep.heat_map import sheet
 from server.sweep.outcome import outcome
 from server.terminal import tell, writing
 from server.train import announced_on_terminal
+from server.whole import whole_folder
 from sims import TASKS
 from sims.own import own_file
 
 if TYPE_CHECKING:
-    from hebbviz.learner import Learner
-    from server.experiments import Done
+    from server.experiments import Done, Plan
     from server.sweep.outcome import Outcome
 
 _MOVES = 0.01
@@ -63,7 +63,10 @@ def _made(
     *points, untrained = (outcome(d, task) for d in done)
     name = own_name(out, sweep.file, sweep.command)
     learners = out / f"{name}-learners"
-    more = [_openings(sweep, d, p, learners) for d, p in zip(done[:-1], points, strict=True)]
+    with writing(learners), whole_folder(learners) as part:
+        for d, point in zip(done[:-1], points, strict=True):
+            _save(sweep, d, point, part)
+    more = [_openings(sweep, point, learners) for point in points]
     drawn = sheet(sweep, task, points, untrained, more)
     paths = save(drawn, out, name, Origin(sweep.command, sweep.seed))
     return {
@@ -85,24 +88,26 @@ def _run(sweep: Sweep, folder: Path, stop: threading.Event, scheduler: str | Non
         return finish(sweep.plans(), workers, folder=folder, stop=stop, progress=progress)
 
 
-def _openings(sweep: Sweep, done: Done, point: Outcome, folder: Path) -> dict[str, Any]:
-    """Save the learner of the median lane as it was at the end and at its start; the commands that
-    open the two in the page.
-    """
-    lane, plan = point.middle, done.plan
-    stem = folder / f"beta-{plan.beta!r}-gamma-{plan.gamma!r}"
-    return {
-        "lane": lane,
-        "open": _opening(sweep, done.learner(lane), f"{stem}.npz"),
-        "open_start": _opening(sweep, done.start(lane), f"{stem}-start.npz"),
-    }
+def _names(plan: Plan) -> tuple[str, str]:
+    """Of the files of a point's two learners: at the end, and at its start."""
+    stem = f"beta-{plan.beta!r}-gamma-{plan.gamma!r}"
+    return f"{stem}.npz", f"{stem}-start.npz"
 
 
-def _opening(sweep: Sweep, learner: Learner, name: str) -> str:
-    path = Path(name)
-    with writing(path):
-        path.parent.mkdir(exist_ok=True)
-        files.save(learner, path, task_name=sweep.task)
+def _save(sweep: Sweep, done: Done, point: Outcome, folder: Path) -> None:
+    """Save the learner of the median lane as it was at the end and at its start."""
+    learners = done.learner(point.middle), done.start(point.middle)
+    for learner, name in zip(learners, _names(done.plan), strict=True):
+        files.save(learner, folder / name, task_name=sweep.task)
+
+
+def _openings(sweep: Sweep, point: Outcome, folder: Path) -> dict[str, Any]:
+    """The median lane, and the commands that open its two learners in the page."""
+    end, start = (_opening(sweep, folder / name) for name in _names(point.plan))
+    return {"lane": point.middle, "open": end, "open_start": start}
+
+
+def _opening(sweep: Sweep, path: Path) -> str:
     own = [] if sweep.task in TASKS else ["--task", sweep.task]
     if sweep.rule is not None and own_file(sweep.rule)[0] is not None:
         own += ["--rule", sweep.rule]
