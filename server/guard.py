@@ -34,7 +34,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 from websockets.http11 import Request, Response
 
-from server import admission
+from server import admission, message_buffer
 from server.admission import Refused, shown
 
 MAX_MESSAGE_BYTES = 2**20
@@ -98,6 +98,7 @@ def open_server(
         called.append(True)
         return gate.serve(handler, sock=listener, **options)
 
+    message_buffer.install()
     with _viser_silenced(), _viser_serves_with(serve):
         server = _QuietServer(host=host, port=gate.port, verbose=False)
     if not called:  # never run without the gate

@@ -11,12 +11,13 @@ import threading
 import time
 import traceback
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import viser
 
 from server import camera, palette, style, words
-from server.commands import Probe, ShowBeginning
+from server.commands import Command, Probe, ShowBeginning
 from server.controls import Controls
 from server.estimate import knows_its_truth
 from server.inspector import Inspector
@@ -72,23 +73,50 @@ class Page:
     def run(self, worker: Worker, stop: threading.Event) -> None:
         """Draw pictures until `stop` is set."""
         self._worker = worker
-        picture = worker.wait_for(0, timeout=60.0)
-        if picture is None:
-            return
-        self._build(worker, picture)
+        number = 0
         while not stop.is_set():
-            fresh = worker.wait_for(picture.number, timeout=0.25)
-            if fresh is not None:
-                picture = fresh
-                self._try_to_draw(picture)
-            self._say_notices()
+            picture = worker.wait_for(number, timeout=0.25)
+            if picture is not None:
+                number = picture.number
+                self._attempt("drawn", self._build if self._built is None else self._draw, picture)
+            self._attempt("told its notices", self._say_notices)
+
+    def _attempt(self, what: str, draw: Callable[..., None], *given: Picture) -> None:
+        """What cannot be drawn, such as a pose that a task of the user's own gets wrong, is said
+        once, and the run goes on.
+        """
+        try:
+            draw(*given)
+        except Exception as error:
+            said = f"the page cannot be {what}: {type(error).__name__}: {error}"
+            if said != self._failed:
+                traceback.print_exc()
+                self.notify(said)
+            self._failed = said
+            time.sleep(FAILED_SECONDS)
+
+    def _send(self, command: Command) -> None:
+        if self._worker is not None:
+            self._worker.send(command)
 
     def close(self) -> None:
         self._server.stop()
 
     # Building
 
-    def _build(self, worker: Worker, picture: Picture) -> None:
+    def _build(self, picture: Picture) -> None:
+        """Make the page; where that fails leave nothing of it, to be tried with another picture."""
+        try:
+            self._build_parts(picture)
+        except Exception:
+            self._built = self._stage = self._other_stage = self._panels = None
+            self._server.gui.reset()
+            self._server.scene.reset()
+            raise
+        self._server.on_client_connect(self._welcome)
+        self._server.on_client_disconnect(self._disconnected)
+
+    def _build_parts(self, picture: Picture) -> None:
         server, gui = self._server, self._server.gui
         self._set_theme()
         gui.set_panel_label("hebbviz")
@@ -106,13 +134,11 @@ class Page:
         self._status = gui.add_markdown("")
         self._warning = gui.add_markdown("", visible=False)
         self._key = gui.add_markdown("")
-        self._build_controls(Widgets(gui, worker.send, self.notify), picture.seed)
+        self._build_controls(Widgets(gui, self._send, self.notify), picture.seed)
         self._build_view(gui)
         self._health = gui.add_markdown("")
         self._tabs = self._make_tabs(picture)
         self._rebuild(picture)
-        server.on_client_connect(self._welcome)
-        server.on_client_disconnect(self._disconnected)
 
     def _make_tabs(self, picture: Picture) -> dict[str, Any]:
         """Two panels beside the scene, and their tabs; first those of a truth that is known."""
@@ -228,8 +254,8 @@ class Page:
 
     def _welcome(self, client: viser.ClientHandle) -> None:
         self._connected(client)
-        if len(self._server.get_clients()) == 1 and self._worker is not None:
-            self._worker.send(ShowBeginning())
+        if len(self._server.get_clients()) == 1:
+            self._send(ShowBeginning())
         if camera.aspect_of(client) < camera.WHOLE_ASPECT:
             client.gui.main_panel.minimize()
         self._look_at(client, camera.OVERVIEW)
@@ -263,20 +289,6 @@ class Page:
                 self._inspectors[client.client_id].pick_synapse(synapse)
 
     # Drawing
-
-    def _try_to_draw(self, picture: Picture) -> None:
-        """What cannot be drawn, such as a pose that a task of the user's own gets wrong, is said
-        once, and the run goes on.
-        """
-        try:
-            self._draw(picture)
-        except Exception as error:
-            said = f"the page cannot be drawn: {type(error).__name__}: {error}"
-            if said != self._failed:
-                traceback.print_exc()
-                self.notify(said)
-            self._failed = said
-            time.sleep(FAILED_SECONDS)
 
     def _draw(self, picture: Picture) -> None:
         with self._lock:
@@ -332,9 +344,9 @@ class Page:
 
     def _ask_probes(self) -> None:
         wanted = tuple(sorted({s for i in self._inspectors.values() for s in i.probes}))
-        if wanted != self._probes and self._worker is not None:
+        if wanted != self._probes:
             self._probes = wanted
-            self._worker.send(Probe(wanted))
+            self._send(Probe(wanted))
 
     def _pictures_per_second(self) -> float:
         if len(self._drawn_at) < 2:

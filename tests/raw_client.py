@@ -212,14 +212,16 @@ async def _connect(host: str, port: int, name: str, origin: str | None) -> Clien
 
 
 _loops: list[asyncio.AbstractEventLoop] = []
+_loops_lock = threading.Lock()
 
 
 def _loop() -> asyncio.AbstractEventLoop:
     """The event loop that all clients of this process share."""
-    if not _loops:
-        _loops.append(asyncio.new_event_loop())
-        threading.Thread(target=_loops[0].run_forever, daemon=True).start()
-    return _loops[0]
+    with _loops_lock:
+        if not _loops:
+            _loops.append(asyncio.new_event_loop())
+            threading.Thread(target=_loops[0].run_forever, daemon=True).start()
+        return _loops[0]
 
 
 def _run(job: Coroutine[Any, Any, T]) -> T:

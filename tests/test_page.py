@@ -16,6 +16,7 @@ from hebbviz.learner import Learner
 from hebbviz.task import Pose, Task
 from server import camera
 from server.app import Site
+from server.page import Page
 from sims.loading import make_task
 
 if TYPE_CHECKING:
@@ -91,3 +92,35 @@ def test_what_cannot_be_drawn_is_said_and_the_run_goes_on(capfd: Any) -> None:
         wait_until(lambda: latest(site).number > number + 40, PATIENCE)
         assert latest(site).live.step > step
     assert times() == 1
+
+
+def test_an_error_anywhere_in_the_drawing_ends_nothing(
+    monkeypatch: pytest.MonkeyPatch, capfd: Any
+) -> None:
+    """Such as the one that viser's buffer once raised, each as something is almost done."""
+    parts = ["_build_parts", "_rebuild", "_draw", "_write", "_say_notices"]
+    failed: list[str] = []
+
+    def fail_once(part: str) -> None:
+        whole = getattr(Page, part)
+
+        def fails(page: Page, *given: Any) -> None:
+            whole(page, *given)
+            if part not in failed:
+                failed.append(part)
+                raise RuntimeError(f"deque mutated in {part}")
+
+        monkeypatch.setattr(Page, part, fails)
+
+    for part in parts:
+        fail_once(part)
+    with running(make_task("pendulum")) as site:
+        wait_until(lambda: sorted(failed) == sorted(parts), PATIENCE)
+        with RawClient(site._server.get_port()) as client:
+            goes_on(site, client)
+            labels = [w.label for w in client.widgets.values() if w.kind == "GuiButtonMessage"]
+            assert labels.count("Reset") == 1
+            site._notify("all is well")
+            client.wait(lambda: not site._page._notices, PATIENCE)  # type: ignore[union-attr]
+    told = capfd.readouterr().err
+    assert [told.count(f"RuntimeError: deque mutated in {part}") for part in parts] == [1] * 5
