@@ -13,6 +13,7 @@ from server import guard, words
 from server.commands import REALTIME, SetSpeed, check_speed
 from server.interrupts import Interrupts
 from server.making import maker
+from server.output import Stream
 from server.page import Page
 from server.recording.recordings import Options, Recordings
 from server.run import Run
@@ -158,22 +159,23 @@ class Site:
         self._server.stop()
         if self._worker is not None:
             self._worker.join(SHUTDOWN_SECONDS)
+        if self._recordings is not None:  # what is saved comes before what is printed
+            self.is_stuck = self._recordings.close()  # by a disk that cannot be waited for
+        self._say_end()
+
+    def _say_end(self) -> None:
+        if self._worker is not None:
             error = self._worker.latest and self._worker.latest.error
             _say(f"stopped at step {self._run.learner.step:,}{f', for {error}' if error else ''}")
-        if self._recordings is not None:
-            self._end_recordings(self._recordings)
-
-    def _end_recordings(self, recordings: Recordings) -> None:
-        """End them whole; what a disk still holds up cannot be waited for."""
-        self.is_stuck = recordings.close()
-        status = recordings.status
+        status = None if self._recordings is None else self._recordings.status
         if status is not None and status.error is None:
             _say(f"recorded {words.recorded(status)} in {status.where}")
 
     def _say_notice(self, text: str) -> None:
         """What must be known on the terminal too."""
-        sys.stderr.write(f"hebbviz: {text}\n")
-        sys.stderr.flush()
+        stderr = Stream(sys.stderr)
+        stderr.write(f"hebbviz: {text}\n")
+        stderr.flush()
         self._notify(text)
 
     def _notify(self, text: str) -> None:
@@ -201,5 +203,7 @@ def is_loopback(host: str) -> bool:
 
 
 def _say(line: str) -> None:
-    sys.stdout.write(f"{line}\n")
-    sys.stdout.flush()
+    """Also for programs of a user's own, whose stdout may be what it likes."""
+    stdout = Stream(sys.stdout)
+    stdout.write(f"{line}\n")
+    stdout.flush()

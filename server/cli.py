@@ -2,8 +2,10 @@
 recorded is replayed, viewed, inspected and exported; `hebbviz bench` measures speeds.
 
 Exit codes: 0 fine; 2 for what the user gave and can mend, said in one line on stderr; 1 for any
-other failure; 130 and 143 for a training that Ctrl-C or SIGTERM ended. A recording that had to
-stop, for want of disk space say, is told of on stderr and changes none of this: the run is whole.
+other failure; 130, 143 and 129 for a training that Ctrl-C, SIGTERM or SIGHUP ended. A recording
+that had to stop, for want of disk space say, is told of on stderr and changes none of this: the run is
+whole. Where stdout cannot be written, all is done and saved as usual. The code is then 1, but not
+for a page: it stays what it would be.
 """
 
 # ruff: noqa: PLC0415  # what is heavy is imported once it is needed: --help must be quick
@@ -22,7 +24,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from server.making import asked_rule, make_learner, saved_file, saved_task, task_name
-from server.options import parse
+from server.options import parse, shows_page
+from server.output import spared
 from server.terminal import (
     BAD_INPUT,
     FAILED,
@@ -54,17 +57,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal without β must not stop a run
             stream.reconfigure(errors="backslashreplace")
+    args = list(sys.argv[1:] if argv is None else argv)
+    with spared() as stdout:
+        code = _obey(args)
+    return FAILED if code == FINE and stdout.lost and not shows_page(args) else code
+
+
+def _obey(argv: list[str]) -> int:
+    """The exit code of a command, its output aside."""
     try:
-        args = parse(list(sys.argv[1:] if argv is None else argv))
+        args = parse(argv)
         code = COMMANDS[args.command](args)
-        sys.stdout.flush()
     except SystemExit as done:  # argparse, after --help and --version
         return int(done.code or 0)
     except InputError as error:
         return fail(BAD_INPUT, str(error))
-    except BrokenPipeError:  # whoever read our output has gone; nothing can be said any more
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FAILED
     except KeyboardInterrupt:  # a second Ctrl-C
         return fail(128 + signal.SIGINT, "stopped at once")
     except Exception as error:

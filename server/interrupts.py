@@ -1,4 +1,6 @@
-"""Ctrl-C and SIGTERM: at a good moment while things run, and at once while they are prepared."""
+"""Ctrl-C, SIGTERM and SIGHUP: at a good moment while things run, and at once while they are
+prepared.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +12,22 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import FrameType
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
+"""The last, of a terminal that is closed, is unknown to Windows."""
 
 T = TypeVar("T")
 
 
 class Interrupts:
-    """Takes both signals while entered, also where a shell had the program ignore Ctrl-C.
+    """Takes the signals while entered, also where a shell had the program ignore Ctrl-C; but not a
+    SIGHUP that is ignored, as `nohup` has it.
 
     The first signal sets `stop`, and `number` is its number; a second one raises
-    KeyboardInterrupt. In a thread other than the main one signals cannot be taken, and only
-    `stop` is left.
+    KeyboardInterrupt, except SIGHUP: a closed terminal sends it more than once, nobody's
+    impatience. In a thread other than the main one signals cannot be taken, and only `stop` is
+    left.
     """
 
     def __init__(self, stop: threading.Event | None = None) -> None:
@@ -30,7 +37,7 @@ class Interrupts:
 
     def __enter__(self) -> Interrupts:
         if threading.current_thread() is threading.main_thread():
-            self._before = {s: signal.signal(s, self._take) for s in SIGNALS}
+            self._before = {s: signal.signal(s, self._take) for s in SIGNALS if not _is_ignored(s)}
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -64,6 +71,12 @@ class Interrupts:
 
     def _take(self, number: int, _: FrameType | None) -> None:
         if self.number is not None:
+            if signal.Signals(number).name == "SIGHUP":
+                return
             raise KeyboardInterrupt
         self.number = number
         self.stop.set()
+
+
+def _is_ignored(number: signal.Signals) -> bool:
+    return number.name == "SIGHUP" and signal.getsignal(number) == signal.SIG_IGN

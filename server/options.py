@@ -42,10 +42,19 @@ class _Parser(argparse.ArgumentParser):
 
 def parse(argv: list[str]) -> argparse.Namespace:
     """The command and its options; `command` is its name. Raises InputError."""
+    return _parser().parse_args(_joined(_with_command(argv)))
+
+
+def shows_page(argv: list[str]) -> bool:
+    """Whether this is a command that shows a page."""
+    return _with_command(argv)[0] in ("serve", "replay", "view")
+
+
+def _with_command(argv: list[str]) -> list[str]:
+    """The command line in which the command is named."""
     alone = {"-h", "--help", "--version"}
-    if not argv or (argv[0].startswith("-") and argv[0] not in alone):
-        argv = ["serve", *argv]
-    return _parser().parse_args(_joined(argv))
+    is_named = bool(argv) and (not argv[0].startswith("-") or argv[0] in alone)
+    return argv if is_named else ["serve", *argv]
 
 
 def _joined(argv: list[str]) -> list[str]:
@@ -117,7 +126,7 @@ def _add_train(commands: Any) -> None:
         help="learn without a page, and print the figures",
         description="Learn without a page, and print the figures: rewards and times to fall "
         "over the last fifth of the steps. Ctrl-C ends it early and still saves.",
-        epilog=f"Exit code 130 or 143 if Ctrl-C or SIGTERM ended it. {EPILOG}",
+        epilog=f"Exit code 130, 143 or 129 if Ctrl-C, SIGTERM or SIGHUP ended it. {EPILOG}",
         allow_abbrev=False,
     )
     train.add_argument(
@@ -326,7 +335,7 @@ def _add_figure(commands: Any) -> None:
         description="Make one of the paper's figures, from runs of its own: PNG, SVG and the CSV "
         "behind them, and what it comes to as one line of JSON. Ctrl-C ends it early; the same "
         "command then goes on where it was.",
-        epilog=f"Exit code 130 or 143 if Ctrl-C or SIGTERM ended it. {EPILOG}",
+        epilog=f"Exit code 130, 143 or 129 if Ctrl-C, SIGTERM or SIGHUP ended it. {EPILOG}",
         allow_abbrev=False,
     )
     figure.add_argument(
@@ -372,7 +381,7 @@ def _add_sweep(commands: Any) -> None:
         "learner of each point is saved, and the command that opens it in the page is told with "
         "it. Ctrl-C ends it early; the same command then goes on where it was, and so does one "
         "with other values.",
-        epilog=f"Exit code 130 or 143 if Ctrl-C or SIGTERM ended it. {EPILOG}",
+        epilog=f"Exit code 130, 143 or 129 if Ctrl-C, SIGTERM or SIGHUP ended it. {EPILOG}",
         allow_abbrev=False,
     )
     sweep.add_argument(

@@ -23,7 +23,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     ThreadPoolExecutor,
 )
-from typing import Any, Protocol
+from typing import Any, Protocol, TextIO, cast
 
 from tqdm import tqdm  # type: ignore[import-untyped]
 
@@ -32,6 +32,7 @@ from hebbviz.task import CompiledTask
 from server.experiments.plan import Plan
 from server.experiments.share import Tile, bring_on
 from server.interrupts import SIGNALS
+from server.output import Stream
 from server.terminal import InputError, WorkersFailed, tell
 
 SHARE_SECONDS = 3.0
@@ -145,7 +146,7 @@ def _end_processes(executor: ProcessPoolExecutor) -> None:
 
 def _begin_process() -> None:
     """End with the program that began this process, however it ends, whose stdout is not ours."""
-    sys.stdout = sys.stderr
+    sys.stdout = sys.stderr = cast(TextIO, Stream(sys.stderr))
     parent = multiprocessing.parent_process()
     assert parent is not None
 
