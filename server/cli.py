@@ -3,9 +3,9 @@ recorded is replayed, viewed, inspected and exported; `hebbviz bench` measures s
 
 Exit codes: 0 fine; 2 for what the user gave and can mend, said in one line on stderr; 1 for any
 other failure; 130, 143 and 129 for a training that Ctrl-C, SIGTERM or SIGHUP ended. A recording
-that had to stop, for want of disk space say, is told of on stderr and changes none of this: the run is
-whole. Where stdout cannot be written, all is done and saved as usual. The code is then 1, but not
-for a page: it stays what it would be.
+that had to stop, for want of disk space say, is told of on stderr and changes none of this: the
+run is whole. Where stdout cannot be written, all is done and saved as usual. The code is then 1,
+but not for a page: it stays what it would be.
 """
 
 # ruff: noqa: PLC0415  # what is heavy is imported once it is needed: --help must be quick
