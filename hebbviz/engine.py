@@ -133,8 +133,8 @@ def engine(width: int) -> Engine:
 
     `watch` is the lane that is noted, or -1 for none. What is noted: `spikes` (n, neurons),
     `rewards` (n, 3: of the task, as broadcast, episode ended), if they have rows `potentials`
-    (n, neurons) and `worlds` (n, numbers), and over all steps `counts` (neurons) and `extremes`
-    (2, neurons + probes: least and greatest v and z).
+    (n, neurons) and `worlds` (n, numbers; where an episode ended, the beginning of the next), and
+    over all steps `counts` (neurons) and `extremes` (2, neurons + probes: least and greatest v, z).
     """
 
     @compiled

@@ -96,8 +96,8 @@ class Block:
     """Every one of the n steps from `start`: who fired, and the rewards.
 
     `fired` (n, neurons) of 0 and 1; `reward` and `broadcast` (n,); `ended` (n,) bool. Seen
-    closely, also `potential` v (n, neurons) and `world`, the task's state after each step
-    (n, numbers); else these have no rows.
+    closely, also `potential` v (n, neurons) and `world` (n, numbers), the state that each step's
+    reward was given for: where an episode ended, the one that ended it. Else these have no rows.
     """
 
     start: int

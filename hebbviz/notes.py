@@ -23,7 +23,7 @@ NOBODY = -1
 
 
 class Notes(NamedTuple):
-    """What the engine writes of each step: fired, rewards, and if asked for v and the world."""
+    """What is written of each step: fired, rewards, and if asked for v and the world."""
 
     fired: NDArray[np.uint8]
     rewards: Array

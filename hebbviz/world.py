@@ -136,7 +136,7 @@ class PythonWorld(World):
             self._tiles.keep()
             since.keep()
             try:
-                states = self._act()
+                reached, states = self._act()
                 for tile, lane in watched:
                     tile.settle(row, instead=instead, watch=lane, notes=notes, sums=since.sums)
             except BaseException:
@@ -144,34 +144,40 @@ class PythonWorld(World):
                 since.back()
                 raise
             if len(notes.worlds):
-                notes.worlds[row] = states[watch]
+                notes.worlds[row] = reached[watch]
             self._states = states
             self.step += 1
 
-    def _act(self) -> list[Array]:
-        """Let the network act and hear what comes of it; returns the next states."""
+    def _act(self) -> tuple[list[Array], list[Array]]:
+        """Let the network act and hear what comes of it; returns the states that are reached, and
+        those that are next: new episodes where one ended.
+        """
+        reached: list[Array] = []
         states: list[Array] = []
         for tile, lanes in self._tiles:
             action = tile.respond(self.step)
             for k, before in enumerate(self._states[lanes]):
-                states.append(self._answer(tile, k, before, action[:, k]))
+                reached.append(self._answer(tile, k, before, action[:, k]))
+                states.append(self._following(tile, k, reached[-1]))
         self._clamp(states)
         for tile, lanes in self._tiles:
             tile.hear([self._see(state) for state in states[lanes]])
-        return states
+        return reached, states
 
     def _answer(self, tile: Tile, k: int, before: Array, action: Array) -> Array:
         """What comes after `before` in lane k of a tile; the tile is told reward and end."""
-        task, seed, lane = self._task, self._tiles.seed, tile.first_lane + k
-        state = _numbers(task.transition(before.copy(), action, Draws(seed, lane, self.step)))
-        tile.reward[k] = _number(task.reward(state))
-        ended = task.ended(state)
-        tile.ended[k] = ended
-        if ended:
-            state = _numbers(task.restart(Draws(seed, lane, self.step, NEXT_EPISODE)))
-        if state.shape != before.shape:
-            raise ValueError(f"the state must keep its shape {before.shape}, got {state.shape}")
+        draws = Draws(self._tiles.seed, tile.first_lane + k, self.step)
+        state = _kept_shape(self._task.transition(before.copy(), action, draws), before)
+        tile.reward[k] = _number(self._task.reward(state))
+        tile.ended[k] = self._task.ended(state)
         return state
+
+    def _following(self, tile: Tile, k: int, state: Array) -> Array:
+        """The state itself, or the beginning of the next episode."""
+        if not tile.ended[k]:
+            return state
+        draws = Draws(self._tiles.seed, tile.first_lane + k, self.step, NEXT_EPISODE)
+        return _kept_shape(self._task.restart(draws), state)
 
 
 class CompiledWorld(World):
@@ -196,17 +202,32 @@ class CompiledWorld(World):
     def run(self, steps: int, *, instead: Array, watch: int, notes: Notes, since: Summing) -> None:
         self._tiles.keep()
         since.keep()
+        before = self.state(watch) if len(notes.worlds) else np.zeros(0)
         try:
             for tile, lane in self._tiles.watched(watch):
                 tile.run(
                     steps, self.step, self._answer, self._data, instead=instead, watch=lane,
                     notes=notes, sums=since.sums,
                 )  # fmt: skip
+            if len(notes.worlds):
+                self._note_ends(before, watch, notes)
         except BaseException:
             self._tiles.back()
             since.back()
             raise
         self.step += steps
+
+    def _note_ends(self, before: Array, watch: int, notes: Notes) -> None:
+        """Note the state that ended an episode, in place of the new one that compiled code left.
+
+        It is what the task's methods say of the same step, as they do to the bit.
+        """
+        topology = self._tiles.layout.topology
+        actions = np.array(topology.activity)[notes.fired[:, topology.neurons_of(topology.output)]]
+        began = np.concatenate((before[None], notes.worlds[:-1]))
+        for row in np.flatnonzero(notes.rewards[:, 2]).tolist():
+            draws = Draws(self._tiles.seed, self._tiles.first_lane + watch, self.step + row)
+            notes.worlds[row] = self._task.transition(began[row].copy(), actions[row], draws)
 
 
 def check_fit(task: Task, topology: Topology) -> None:
@@ -232,6 +253,14 @@ def _number(reward: object) -> float:
         return float(reward)  # type: ignore[arg-type]  # what is none is told
     except (TypeError, ValueError) as error:
         raise TypeError(f"reward must return a number, got {reward!r:.60}") from error
+
+
+def _kept_shape(state: Array, before: Array) -> Array:
+    """The numbers of a state that comes after another one."""
+    state = _numbers(state)
+    if state.shape != before.shape:
+        raise ValueError(f"the state must keep its shape {before.shape}, got {state.shape}")
+    return state
 
 
 def _numbers(state: Array) -> Array:

@@ -322,7 +322,7 @@ def _add_export(commands: Any) -> None:
     )
     export.add_argument(
         "--every-step", type=_steps, metavar="FROM:TO",
-        help="make these steps again, and write all that the network did in each of them",
+        help="make these steps again, and write all of each: inputs, spikes, w, z, β, γ, the world",
     )  # fmt: skip
 
 

@@ -230,6 +230,16 @@ def check_lanes(make_task: MakeTask) -> None:
         assert np.array_equal(alone.world[:, 0], together.world[:, lane], equal_nan=True)
 
 
+def check_rows(make_task: MakeTask) -> None:
+    """Each step is seen with the state that its reward was given for, an episode's last too."""
+    task = make_task()
+    learner = Learner(task, seed=5, lanes=2)
+    learner.look_at(1)
+    block = learner.advance(STEPS, closely=True)
+    assert np.array_equal(block.reward, [task.reward(state) for state in block.world])
+    assert np.array_equal(block.ended, [task.ended(state) for state in block.world])
+
+
 def check_measures(make_task: MakeTask) -> None:
     task = make_task()
     learner = Learner(task)
@@ -265,8 +275,9 @@ def check_compiled(make_task: MakeTask) -> None:
     compiled, plain = (
         Learner(task, seed=5, lanes=3) for task in (make_task(), Interpreted(make_task()))
     )
-    blocks = [learner.advance(steps) for learner in (compiled, plain)]
+    blocks = [learner.advance(steps, closely=True) for learner in (compiled, plain)]
     assert same_learner(compiled, plain)
+    assert np.array_equal(blocks[0].world, blocks[1].world, equal_nan=True)
     assert np.array_equal(blocks[0].fired, blocks[1].fired)
     assert np.array_equal(blocks[0].reward, blocks[1].reward)
     assert np.array_equal(blocks[0].ended, blocks[1].ended)
@@ -323,6 +334,7 @@ CHECKS: tuple[Callable[[MakeTask], None], ...] = (
     check_controls,
     check_runs_repeat,
     check_lanes,
+    check_rows,
     check_measures,
     check_evaluation,
     check_compiled,

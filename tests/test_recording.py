@@ -236,7 +236,7 @@ def test_exported_tables_hold_the_same(recorded: Recorded, tmp_path: Path) -> No
 
 def test_steps_made_again_are_those_that_were(recorded: Recorded, tmp_path: Path) -> None:
     task = make_task(recorded.run.task_name)
-    npz, table = export_steps(recorded.read(), tmp_path, 421, 733, task)
+    npz, table, _ = export_steps(recorded.read(), tmp_path, 421, 733, task)
     want = recorded.all.part(420, 732)
     with np.load(npz, allow_pickle=False) as found:
         assert np.array_equal(found["step"], np.arange(421, 733))
@@ -245,6 +245,69 @@ def test_steps_made_again_are_those_that_were(recorded: Recorded, tmp_path: Path
         for step in set(found["step"].tolist()) & set(recorded.weights):
             assert np.array_equal(found["weight"][step - 421], recorded.weights[step])
     assert len(table.read_text().splitlines()) == 1 + len(want.fired)
+
+
+def check_rule(d: dict[str, np.ndarray]) -> None:
+    """Weights and traces of every step, computed from the step before by the paper's equations."""
+    silent, firing = d["activity"]
+    inputs, p = d["input"].shape[1], d["projection"]
+    u = np.hstack([d["input"][1:], np.where(d["fired"][:-1], firing, silent)])
+    score = d["fired"] - 1 / (1 + np.exp(-d["potential"]))
+    for n in range(1, len(d["step"])):
+        z = d["beta"][n, p] * d["trace"][n - 1] + score[n, d["post"] - inputs] * u[n - 1, d["pre"]]
+        w = d["weight"][n - 1] + d["gamma"][n, p] * d["broadcast"][n] * z
+        np.testing.assert_allclose(d["trace"][n], z, rtol=1e-11, atol=1e-12)
+        np.testing.assert_allclose(d["weight"][n], w, rtol=1e-11, atol=1e-12)
+
+
+def test_the_rule_can_be_checked_from_an_export_alone(recorded: Recorded, tmp_path: Path) -> None:
+    task = make_task(recorded.run.task_name)
+    export_steps(recorded.read(), tmp_path, 250, 750, task)  # all changes are in it
+    with np.load(tmp_path / "every-step.npz", allow_pickle=False) as found:
+        check_rule(dict(found))
+    words = (tmp_path / "every-step.txt").read_text()
+    assert all(f"{name} " in words or f"{name}, " in words for name in found.files[1:11])
+
+
+def test_a_rule_and_a_gamma_that_falls_can_be_checked_from_the_tables(tmp_path: Path) -> None:
+    changes = {20: SetFall(300.0), 30: SetRule("baseline:time=50"), 700: Freeze(frozen=True)}
+    made = record(tmp_path / "run.rrd", steps=800, changes=changes)
+    npz, table, _ = export_steps(made.read(), tmp_path, 240, 801, make_task("pendulum"))
+    lines = list(csv.reader(table.read_text().splitlines()))
+    columns = {name: k for k, name in enumerate(lines[0])}
+    numbers = np.array(lines[1:], dtype=np.float64)
+    with np.load(npz, allow_pickle=False) as found:
+        arrays = dict(found)
+    for name, values in arrays.items():
+        which = [k for c, k in columns.items() if c == name or c.startswith(f"{name} ")]
+        if which:
+            arrays[name] = numbers[:, which] if values.ndim > 1 else numbers[:, which[0]]
+            assert np.array_equal(arrays[name], values), name
+    named = {"input rate y", "gamma input → hidden", "fired output 1", "weight rate y → hidden 1"}
+    assert named <= columns.keys()
+    check_rule({**arrays, "fired": arrays["fired"].astype(int)})
+    gamma = arrays["gamma"][:, 0]
+    assert len(set(gamma.tolist())) == 4, "it falls each 256 steps, and is 0 while frozen"
+    assert gamma[-1] == 0.0
+
+
+def test_an_episode_ends_in_the_state_that_ended_it(tmp_path: Path) -> None:
+    made = record(tmp_path / "run.rrd", steps=300, changes={})
+    task = make_task("pendulum")
+    export_steps(made.read(), tmp_path, 1, 301, task)
+    export_timelines(made.read(), tmp_path)
+    with np.load(tmp_path / "every-step.npz") as found, np.load(tmp_path / "timelines.npz") as kept:
+        ends, world = np.flatnonzero(found["ended"]), found["world"]
+        assert len(ends) > 2
+        assert all(task.ended(world[k]) and task.reward(world[k]) == -1.0 for k in ends)
+        names = [r.name for r in task.readings]
+        tilt = kept["world_tilt_value"][np.searchsorted(kept["world_tilt_step"], ends + 1)]
+        assert np.array_equal(tilt, task.read(world[ends])[:, names.index("tilt")].astype("f4"))
+        following = ends[ends < 299] + 1
+        seen = np.array([task.observation(state) for state in world])
+        assert not np.array_equal(found["input"][following], seen[following - 1])
+        others = np.setdiff1d(np.arange(1, 300), following)
+        assert np.array_equal(found["input"][others], seen[others - 1])
 
 
 @pytest.mark.parametrize("steps", [(0, 5), (1400, 1502), (10, 10)])

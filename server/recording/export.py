@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,19 +11,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hebbviz.moments import join
 from hebbviz.task import Task
 from hebbviz.topology import Topology
-from server.look import neuron_names
+from server.look import endpoints, neuron_names, unit_names
 from server.recording.chunks import Table, parallel, read_rows
-from server.recording.header import BadRecording
+from server.recording.header import BadRecording, Header
 from server.recording.reader import Recording
 from server.recording.stored import matrices_of, steps_of
+from server.run import Replay, Run
 from server.whole import whole_folder
 from sims.loading import make_task
 
 Array = NDArray[Any]
 Columns = dict[str, Array]
 """By name: (n,), or (n, k) with k columns in a CSV file."""
+Names = dict[str, Sequence[str]]
+"""What the columns of (n, k) are called; by default they are numbered from 1."""
 
 MOST_BYTES = 2_000_000_000
 MOST_CSV_COLUMNS = 2_000
@@ -52,7 +57,7 @@ def export_timelines(recording: Recording, folder: Path) -> list[Path]:
         written = [_write_npz(part / "timelines.npz", arrays)]
         for name, columns in groups.items():
             if columns and len(columns["step"]):
-                written.append(_write_csv(part / f"{name}.csv", columns, topology, dt))
+                written.append(_write_csv(part / f"{name}.csv", columns, _names(topology), dt))
         written.append(_write_events(part / "events.csv", rows.get("/events"), dt))
     return [folder / path.name for path in written]
 
@@ -60,7 +65,8 @@ def export_timelines(recording: Recording, folder: Path) -> list[Path]:
 def export_steps(
     recording: Recording, folder: Path, first: int, end: int, task: Task
 ) -> list[Path]:
-    """Make the steps from `first` on and before `end` again, and write all of each.
+    """Make the steps from `first` on and before `end` again, and write all of each, in npz and CSV,
+    and what each column is.
 
     What stands at step n is what was so after the n-th step. Raises ValueError if the recording
     does not hold these steps or they are too many, BadRecording if the recorded run does
@@ -76,43 +82,102 @@ def export_steps(
     moment = run.tape.before(first - 1)
     assert moment is not None, "the first keyframe stands at the first step"
     t, numbers = header.topology, len(moment.keyframe.world)
-    size = 8 * (end - first) * (2 * t.synapses + 2 * t.neurons + numbers + 3)
-    if size > MOST_BYTES:
-        raise ValueError(f"that takes {size / 1e9:.1f} GB: ask for fewer steps at a time")
+    size = 2 * t.synapses + 2 * t.neurons + t.inputs + 2 * len(t.projections) + numbers + 4
+    if 8 * size * (end - first) > MOST_BYTES:
+        gigabytes = 8e-9 * size * (end - first)
+        raise ValueError(f"that takes {gigabytes:.1f} GB: ask for fewer steps at a time")
     replay = run.replay(moment)
     replay.go_to(first - 1)
-    blocks, weights, traces = [], [], []
-    while replay.learner.step < end - 1:
-        blocks.append(replay.advance(1, closely=True))
-        weights.append(replay.learner.weights[:, 0])
-        traces.append(replay.learner.traces[:, 0])
-    following = run.tape.after(replay.learner.step)
-    if following is not None:
-        check = run.replay(replay.moment(), following)
-        check.go_to(following.step)
-        if check.moment().keyframe.digest() != following.keyframe.digest():
-            raise BadRecording(
-                f"the run does not come out the same again: {header.other_now}; leave "
-                "--every-step out, for what was stored"
-            )
-    columns: Columns = {
-        "step": np.arange(first, end),
-        **{
-            name: np.concatenate([getattr(b, name) for b in blocks])
-            for name in ("reward", "broadcast", "ended", "fired", "potential", "world")
-        },
-        "weight": np.array(weights),
-        "trace": np.array(traces),
-    }
+    columns = _each_step(replay, end - 1)
+    _check_same_again(run, replay, header)
+    units = unit_names(t, tuple(one.name for one in task.inputs))
+    ends = [f"{units[pre]} → {units[post]}" for pre, post in zip(*endpoints(t), strict=True)]
+    names = _names(t) | {"input": units[: t.inputs], "weight": ends, "trace": ends}
     with whole_folder(folder) as part:
         written = [
-            _write_npz(part / "every-step.npz", columns),
-            _write_csv(part / "every-step.csv", columns, t, header.dt),
+            _write_npz(part / "every-step.npz", columns | _synapses(t)),
+            _write_csv(part / "every-step.csv", columns, names, header.dt),
+            part / "every-step.txt",
         ]
+        written[-1].write_text(_EVERY_STEP, encoding="utf-8")
     return [folder / path.name for path in written]
 
 
+_EVERY_STEP = """\
+Each row is one step. What stands at step n was so after the n-th step since the run began.
+
+reward       r of the task
+broadcast    what every synapse was sent in its place: after the rule, with reward given by hand
+ended        1 where an episode ended with this step
+fired        of each neuron, 1 where it fired in this step
+potential    v of each neuron
+world        the task's state that the reward was given for. Where `ended` is 1, the state that
+             ended the episode; the next row's step began from a new one, which is not shown
+input        what the network saw in this step: v and z of this row were made from it
+beta, gamma  of each projection, as they were in force in this step: gamma as it falls, 0 while
+             learning is frozen
+weight       w of each synapse after this step
+trace        z of each synapse after this step
+
+In the npz, `pre`, `post` and `projection` say of each synapse between which units it is and to
+which projection it belongs, numbered from 0, inputs before neurons; `activity` is u of a neuron
+that is silent and of one that fires. u of an input is its value. So, with u of the step before,
+
+    z[n] = beta[n] z[n-1] + (fired[n] - 1 / (1 + exp(-potential[n]))) u
+    w[n] = w[n-1] + gamma[n] broadcast[n] z[n]
+"""
+
+
+def _each_step(replay: Replay, end: int) -> Columns:
+    """All of the steps up to `end`; the replay is there then."""
+    blocks, frames = [], []
+    while replay.learner.step < end:
+        blocks.append(replay.advance(1, closely=True))
+        frames.append(replay.learner.frame())
+    whole, inputs = join(blocks), replay.learner.topology.inputs
+    names = ("reward", "broadcast", "ended", "fired", "potential", "world")
+    return {
+        "step": np.arange(whole.start + 1, whole.end + 1),
+        **{name: getattr(whole, name) for name in names},
+        "input": np.array([f.before[:inputs] for f in frames]),
+        **{
+            name: np.array([getattr(f, name) for f in frames])
+            for name in ("beta", "gamma", "weight", "trace")
+        },
+    }
+
+
+def _check_same_again(run: Run, replay: Replay, header: Header) -> None:
+    """Raise BadRecording unless the replay leads to the run's next keyframe."""
+    following = run.tape.after(replay.learner.step)
+    if following is None:
+        return
+    check = run.replay(replay.moment(), following)
+    check.go_to(following.step)
+    if check.moment().keyframe.digest() != following.keyframe.digest():
+        raise BadRecording(
+            f"the run does not come out the same again: {header.other_now}; leave "
+            "--every-step out, for what was stored"
+        )
+
+
+def _synapses(topology: Topology) -> Columns:
+    """Of each synapse the units it is between, and its projection; the values of activities."""
+    pre, post = endpoints(topology)
+    sizes = [math.prod(topology.shape(p)) for p in topology.projections]
+    projection = np.repeat(np.arange(len(sizes)), sizes)
+    activity = np.array(topology.activity)
+    return {"pre": pre, "post": post, "projection": projection, "activity": activity}
+
+
 # From rows to columns
+
+
+def _names(topology: Topology) -> Names:
+    """What the columns of neurons and of projections are called."""
+    projections = [p.name for p in topology.projections]
+    neurons = dict.fromkeys(_OF_NEURONS, neuron_names(topology))
+    return {**neurons, "beta": projections, "gamma": projections}
 
 
 def _steps(rows: dict[str, Table], topology: Topology) -> Columns:
@@ -151,7 +216,7 @@ def _write_npz(path: Path, arrays: Columns) -> Path:
     return path
 
 
-def _write_csv(path: Path, columns: Columns, topology: Topology, dt: float | None) -> Path:
+def _write_csv(path: Path, columns: Columns, called: Names, dt: float | None) -> Path:
     """One line per step; wide columns that no table can hold are left to the npz."""
     names, parts = [], []
     for name, values in columns.items():
@@ -162,7 +227,8 @@ def _write_csv(path: Path, columns: Columns, topology: Topology, dt: float | Non
                 names.append("sim_time")
                 parts.append(values * dt)
         elif values.shape[1] <= MOST_CSV_COLUMNS:
-            names += _column_names(name, values.shape[1], topology)
+            numbers = map(str, range(1, values.shape[1] + 1))
+            names += [f"{name} {one}" for one in called.get(name, numbers)]
             parts += list(values.T)
     return _write_lines(path, names, zip(*(p.tolist() for p in parts), strict=True))
 
@@ -183,9 +249,3 @@ def _write_lines(path: Path, names: Sequence[str], lines: Iterable[Sequence[Any]
         writer.writerow(names)
         writer.writerows(lines)
     return path
-
-
-def _column_names(name: str, count: int, topology: Topology) -> list[str]:
-    if name in _OF_NEURONS:
-        return [f"{name} {neuron}" for neuron in neuron_names(topology)]
-    return [f"{name} {k + 1}" for k in range(count)]
