@@ -6,7 +6,6 @@ Everything here is a pure check. What does not pass raises `Refused`, with one l
 from __future__ import annotations
 
 import math
-import reprlib
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -14,18 +13,11 @@ import msgspec
 from viser import _gui_handles as gui
 from viser import _messages as viser_messages
 
+from server.refusal import Refused, shown
+
 MAX_TEXT = 10_000
-MAX_SHOWN = 40
 MAX_STEP = 2**53
 """Whole numbers below this are the same on a page, where all numbers are floats."""
-
-
-class Refused(Exception):
-    """Something that viser must not see. `widget` is set where a widget's value is at stake."""
-
-    def __init__(self, kind: str, line: str, widget: Any = None) -> None:
-        super().__init__(line)
-        self.kind, self.line, self.widget = kind, line, widget
 
 
 class MovingSlider(gui.GuiSliderHandle[int]):
@@ -148,15 +140,6 @@ def check_change(widget: Any, updates: dict[str, Any]) -> None:
     wanted = "enabled first" if widget.disabled else rule(widget, value)
     if wanted is not None:
         raise Refused("value", f"{label} must be {wanted}, got {shown(value)}", widget)
-
-
-_short = reprlib.Repr()
-_short.maxstring = _short.maxother = _short.maxlong = MAX_SHOWN
-
-
-def shown(value: object) -> str:
-    """The value on one line of at most 40 characters, however large or strange it is."""
-    return _short.repr(value)[:MAX_SHOWN]
 
 
 # Which value fits which widget: each rule returns what the value must be, or None if it fits.

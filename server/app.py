@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import ipaddress
-import socket
 import sys
 import threading
 import warnings
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from server import guard, words
 from server.commands import REALTIME, SetSpeed, check_speed
+from server.entrance import EVERYWHERE, Access, Role
 from server.interrupts import Interrupts
 from server.making import maker
 from server.output import Stream
@@ -43,6 +43,9 @@ def serve(
     task_name: str | None = None,
     recording: Options | None = None,
     stop: threading.Event | None = None,
+    allow_hosts: Sequence[str] = (),
+    token: bool | None = None,
+    frame_from: Sequence[str] = (),
 ) -> None:
     """Show `learner` on a page and let it run, until Ctrl-C, SIGTERM or `stop`.
 
@@ -51,16 +54,22 @@ def serve(
     `task_name` is what the user calls the task, where that is not its own name. `recording` says
     what to record. `stop` is an event that ends it, for programs that run this in a thread.
 
+    `allow_hosts` are names, as NAME or NAME:PORT, under which the page is reached besides its own;
+    `token` says whether its link must hold a token, by default where others than this machine can
+    reach it; `frame_from` are origins, such as http://localhost:8888, whose pages may show it in a
+    frame (a notebook).
+
     Raises ValueError if one of these is out of range or the task has no dt to run at 'realtime',
     OSError if the address cannot be listened on, and TaskError if the task fails in its first
     steps; later failures are shown on the page.
     """
+    access = Access(tuple(allow_hosts), token, tuple(frame_from))
 
     def prepare() -> Site:
         with announced_compiling(lambda: _say(COMPILING)):
             return Site(
                 learner, host=host, port=port, speed=speed, task_name=task_name,
-                recording=recording,
+                recording=recording, access=access,
             )  # fmt: skip
 
     with Interrupts(stop) as interrupts:
@@ -84,6 +93,7 @@ class Site:
         task_name: str | None,
         recording: Options | None = None,
         past: Run | None = None,
+        access: Access = Access(),  # noqa: B008
     ) -> None:
         check_start(learner.task, speed)
         self._past = past is not None
@@ -95,8 +105,10 @@ class Site:
         self._worker: Worker | None = None
         self._run = past or Run(learner, maker(learner.task, task_name), task_name)
         self._server = guard.open_server(
-            host, port, default_port=DEFAULT_PORT, on_refusal=self._notify
-        )
+            host, port, default_port=DEFAULT_PORT, access=access, on_refusal=self._notify,
+            on_turned_away=self._say_notice,
+        )  # fmt: skip
+        self._entrance = self._server.entrance
         try:
             warm_up(learner)
             self._recordings = Recordings(self._run, self._options, on_notice=self._say_notice)
@@ -106,10 +118,15 @@ class Site:
 
     @property
     def address(self) -> str:
-        """What to type into a browser on this machine."""
-        name = "localhost" if self._host in ("0.0.0.0", "::") else self._host
+        """Where it is on this machine."""
+        name = "localhost" if self._host in EVERYWHERE else self._host
         name = f"[{name}]" if ":" in name else name
         return f"http://{name}:{self._server.get_port()}"
+
+    @property
+    def link(self) -> str:
+        """What to type into a browser on this machine."""
+        return self._entrance.link(self.address)
 
     def run(self, stop: threading.Event, *, open_browser: bool) -> None:
         """Show it and step it until `stop` is set; then close everything."""
@@ -130,7 +147,7 @@ class Site:
             worker.start()
             self._announce()
             if open_browser:
-                open_window(self.address)
+                open_window(self._entrance.link_for_once(self.address))
             page.run(worker, stop)
         finally:
             self._close()
@@ -139,17 +156,22 @@ class Site:
         port = self._server.get_port()
         if self._asked_port is None and port != DEFAULT_PORT:
             _say(f"port {DEFAULT_PORT} is taken, using {port}")
-        if not is_loopback(self._host):
-            _say(
-                f"warning: {self._host} can be reached from other machines and there is no "
-                "password: whoever reaches it can drive this page"
-            )
         if self._options.file is not None and self._recordings is not None:
             status = self._recordings.status
             _say(f"recording into {status.where if status else self._options.file}")
         if self._recordings is not None and self._recordings.stream_url is not None:
             _say(f"see it live in rerun's viewer: rerun {self._recordings.stream_url}")
-        _say(f"hebbviz is at {self.address} (stop it with Ctrl-C)")
+        self._announce_address()
+
+    def _announce_address(self) -> None:
+        entrance, address = self._entrance, self.address
+        if entrance.needs_token:
+            _say(f"to look and change nothing: {entrance.link(address, Role.READER)}")
+        if warning := entrance.warning(f"change the run and record into {self._options.folder}"):
+            _say(warning)
+        if entrance.needs_token and entrance.is_open:
+            _say("elsewhere the links begin with what this machine is called there")
+        _say(f"hebbviz is at {self.link} (stop it with Ctrl-C)")
 
     def _close(self) -> None:
         if self._worker is not None:
@@ -191,15 +213,6 @@ def check_start(task: Task, speed: Speed | None) -> None:
             f"speed 'realtime' needs a task with a time step, and {task.name!r} has none: "
             "give max or steps per second"
         )
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach a server bound to `host`."""
-    try:
-        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
-    except OSError:
-        return False
-    return all(ipaddress.ip_address(str(a[4][0]).partition("%")[0]).is_loopback for a in found)
 
 
 def _say(line: str) -> None:

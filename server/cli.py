@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 
     from hebbviz.learner import Learner
     from server.app import Site
+    from server.entrance import Access
     from server.interrupts import Interrupts
     from server.recording.recordings import Options
     from server.train import Steps, Training
@@ -95,7 +96,7 @@ def serve(args: argparse.Namespace) -> int:
         check_start(learner.task, args.speed)
         return Site(
             learner, host=args.host, port=args.port, speed=args.speed,
-            task_name=task_name(args, learner), recording=_recording(args),
+            task_name=task_name(args, learner), recording=_recording(args), access=_access(args),
         )  # fmt: skip
 
     return show_page(args, prepare)
@@ -120,7 +121,7 @@ def replay(args: argparse.Namespace) -> int:
         past = recording.run(maker(task, name), task, name)
         return Site(
             past.learner, host=args.host, port=args.port, speed=None, task_name=name,
-            recording=Options(folder=args.recordings), past=past,
+            recording=Options(folder=args.recordings), past=past, access=_access(args),
         )  # fmt: skip
 
     return show_page(args, prepare)
@@ -157,8 +158,10 @@ def view(args: argparse.Namespace) -> int:
 
     with Interrupts() as interrupts:
         with user_can_mend(args):
-            viewer = Viewer(args.file, port=args.port)
-        say(f"{args.file} is shown at {viewer.address} (stop it with Ctrl-C)")
+            viewer = Viewer(args.file, port=args.port, access=_access(args), on_turned_away=tell)
+        if viewer.warning:
+            say(viewer.warning)
+        say(f"{args.file} is shown at {viewer.link} (stop it with Ctrl-C)")
         viewer.run(interrupts.stop, open_browser=not args.no_browser)
     return FINE
 
@@ -195,6 +198,12 @@ def export(args: argparse.Namespace) -> int:
             written = export_steps(recording, args.out, first, end, task)
     say("\n".join(str(path) for path in written))
     return FINE
+
+
+def _access(args: argparse.Namespace) -> Access:
+    from server.entrance import Access
+
+    return Access(tuple(args.allow_host), args.token)
 
 
 def bench(args: argparse.Namespace) -> int:

@@ -1,8 +1,8 @@
 """Opens the page's server, and stands between it and whatever connects.
 
 viser trusts whatever connects: it answers any website's script, takes any value for any widget
-and opens a tunnel to an outside relay when a client asks for one. Here a request must be addressed
-to this server and come from its own page, and a message must pass `admission`.
+and opens a tunnel to an outside relay when a client asks for one. Here a request must pass
+the `entrance`, and a message `admission`.
 """
 
 from __future__ import annotations
@@ -11,17 +11,15 @@ import asyncio
 import contextlib
 import errno
 import functools
-import ipaddress
 import logging
 import os
 import socket
 import threading
 import types
 import weakref
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterable, Iterator
 from http import HTTPStatus
 from typing import Any
-from urllib.parse import parse_qsl
 
 import rich
 import viser
@@ -35,16 +33,25 @@ from websockets.frames import CloseCode
 from websockets.http11 import Request, Response
 
 from server import admission, message_buffer
-from server.admission import Refused, shown
+from server.entrance import Access, Entrance, Passage, Role, headers
+from server.refusal import Refused
 
 MAX_MESSAGE_BYTES = 2**20
 SETTLE_SECONDS = 1.0  # between the refusal of a value and showing the true one, see `Gate._refuse`
 PORTS_TRIED = 100
 FAREWELL_SECONDS = 0.3  # for connections to be closed politely when the server stops
 
-# Parameters in the page's address that make viser's page show another server or a recording.
-# Either may run scripts in the page, so such a link would let a foreign site pass for our page.
-FOREIGN_SOURCES = {"websocket", "playbackPath"}
+POLICY = {
+    "script-src": "'unsafe-inline' 'wasm-unsafe-eval'",
+    "style-src": "'unsafe-inline'",
+    "img-src": "'self' data: blob:",
+    "worker-src": "blob:",
+    "connect-src": "'self' data:",  # it fetches WebAssembly and a picture out of itself
+}
+"""What viser's page loads: it is an inline script that unpacks WebAssembly."""
+
+NO_PASSAGE = Passage(Role.NOBODY)
+"""Of a request that was not let in."""
 
 # Where viser's GUI keeps the things that messages are about.
 REGISTRIES: dict[type, str] = {
@@ -56,6 +63,7 @@ REGISTRIES: dict[type, str] = {
 }
 
 OnRefusal = Callable[[str], None]
+"""Takes one line for what was refused; called in the server's event loop, so it must be quick."""
 Handler = Callable[[ServerConnection], Awaitable[None]]
 RequestHook = Callable[[ServerConnection, Request], Response | None]
 
@@ -63,6 +71,7 @@ _viser_lock = threading.RLock()  # one server starts or stops at a time
 _logger = logging.getLogger("hebbviz.websockets")
 # A client that breaks off or garbles its request is no fault of ours, and worth no traceback.
 _logger.addFilter(lambda record: record.getMessage() != "opening handshake failed")
+_logger.setLevel(logging.INFO)  # in more detail it would tell tokens
 
 
 class CannotListen(OSError):
@@ -78,8 +87,10 @@ def open_server(
     port: int | None = None,
     *,
     default_port: int = 8080,
+    access: Access = Access(),  # noqa: B008
     on_refusal: OnRefusal,
-) -> viser.ViserServer:
+    on_turned_away: OnRefusal | None = None,
+) -> GuardedServer:
     """Start a viser server that only its own page can talk to, and only as a page does.
 
     Args:
@@ -87,11 +98,13 @@ def open_server(
         port: Port to bind (0: any free one), or else `PortTaken` is raised. None: `default_port`
             or the next free one above it; `get_port()` of the server tells which.
         default_port: See `port`.
-        on_refusal: Called with one line for what was refused, in the server's event loop: it must
-            be quick. A widget is reported at most once a second, anything else once.
+        access: Who may come in.
+        on_refusal: Told of messages. A widget is reported at most once a second, others once.
+        on_turned_away: Told of requests, once of each kind, with the remedy; by default
+            `on_refusal`.
     """
     listener = _listener(host, port, default_port)
-    gate = Gate(host, listener.getsockname()[1], on_refusal)
+    gate = Gate(Entrance(host, access), access.frame_from, on_refusal, on_turned_away)
     called: list[bool] = []
 
     def serve(handler: Handler, _host: str, _port: int, **options: Any) -> Any:
@@ -100,21 +113,30 @@ def open_server(
 
     message_buffer.install()
     with _viser_silenced(), _viser_serves_with(serve):
-        server = _QuietServer(host=host, port=gate.port, verbose=False)
+        server = GuardedServer(host=host, port=listener.getsockname()[1], verbose=False)
     if not called:  # never run without the gate
         server.stop()
         listener.close()
         raise RuntimeError(f"viser {viser.__version__} starts its server in an unknown way")
     server.gui.configure_theme(show_share_button=False)
-    gate.server, server.gate = server, gate
+    server.gate = gate
+    gate.server = server
     return server
 
 
 class Gate:
     """Judges requests and messages for one server; runs in that server's event loop."""
 
-    def __init__(self, host: str, port: int, on_refusal: OnRefusal) -> None:
-        self.host, self.port, self.on_refusal = host, port, on_refusal
+    def __init__(
+        self,
+        entrance: Entrance,
+        frame_from: Iterable[str],
+        on_refusal: OnRefusal,
+        on_turned_away: OnRefusal | None = None,
+    ) -> None:
+        self.entrance, self.on_refusal = entrance, on_refusal
+        self._on_turned_away = on_turned_away or on_refusal
+        self._headers = headers(POLICY, frame_from)
         self.server: viser.ViserServer | None = None
         self.connections: weakref.WeakSet[ServerConnection] = weakref.WeakSet()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -124,15 +146,20 @@ class Gate:
     def serve(self, handler: Handler, *, process_request: RequestHook, **options: Any) -> Any:
         """`websockets.asyncio.server.serve` as viser calls it, with the gate in its hooks."""
 
-        async def checked_request(conn: ServerConnection, request: Request) -> Response | None:
+        async def checked_request(conn: _Connection, request: Request) -> Response | None:
             try:
-                check_request(request, self.host, self.port)
+                conn.passage = self.entrance.check(request.path, request.headers.get_all)
             except Refused as refused:
-                self.report(refused)
+                self._report_once(refused, self._on_turned_away)
                 return conn.respond(HTTPStatus.FORBIDDEN, f"{refused.line}\n")
             while self.server is None:  # viser answers a moment before it is complete
                 await asyncio.sleep(0.01)
             return process_request(conn, request)
+
+        def with_headers(conn: _Connection, _: Request, response: Response) -> None:
+            response.headers.update(self._headers)
+            if conn.passage.cookie is not None:
+                response.headers["Set-Cookie"] = conn.passage.cookie
 
         async def checked_handler(connection: ServerConnection) -> None:
             if connection.subprotocol == f"viser-v{viser.__version__}":
@@ -144,6 +171,8 @@ class Gate:
         self._loop = asyncio.get_running_loop()
         options |= {
             "process_request": checked_request,
+            "process_response": with_headers,
+            "server_header": None,
             "max_size": MAX_MESSAGE_BYTES,
             "create_connection": functools.partial(_Connection, gate=self),
             "logger": _logger,
@@ -179,10 +208,14 @@ class Gate:
         return admission.encode(message)
 
     def report(self, refused: Refused) -> None:
+        """Say of a message that it was refused."""
+        self._report_once(refused, self.on_refusal)
+
+    def _report_once(self, refused: Refused, tell: OnRefusal) -> None:
         """Say it once per kind: a hostile client must not be able to flood the log."""
         if refused.kind not in self._reported:
             self._reported.add(refused.kind)
-            self.on_refusal(refused.line)
+            tell(refused.line)
 
     def _target(self, message: admission.FromPage) -> Any:
         """What the message is about, in the shared GUI or else in the one of a single client."""
@@ -222,6 +255,7 @@ class _Connection(ServerConnection):
     def __init__(self, *args: Any, gate: Gate, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.gate = gate
+        self.passage = NO_PASSAGE
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
@@ -238,51 +272,6 @@ class _Connection(ServerConnection):
                 raise
             if (admitted := self.gate.admit(raw)) is not None:
                 return admitted
-
-
-def check_request(request: Request, host: str, port: int) -> None:
-    """Refuse a request that is not meant for us, or not sent by our page.
-
-    A browser names the Origin of a page that opens a websocket; without it, it is no browser's.
-    """
-    hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
-    if len(hosts) != 1 or not is_own(hosts[0], host, port):
-        line = f"it is addressed to {shown(', '.join(hosts))}, which is not this server"
-        raise Refused("host", f"refused a request: {line}")
-    own = {f"{scheme}://{hosts[0].lower()}" for scheme in ("http", "https")}
-    if origins and (len(origins) != 1 or origins[0].lower() not in own):
-        line = f"it comes from {shown(', '.join(origins))}, not from this server's page"
-        raise Refused("origin", f"refused a request: {line}")
-    query = parse_qsl(request.path.partition("?")[2], keep_blank_values=True)
-    if FOREIGN_SOURCES & {key for key, _ in query}:
-        line = "its link makes the page show another server or a recording"
-        raise Refused("link", f"refused a request: {line}")
-
-
-def is_own(authority: str, host: str, port: int) -> bool:
-    """Whether a Host header (`name:port`) names the server bound to `host` and `port`.
-
-    A rebound DNS name resolves to us but is not our name, so a hostile site fails here. Bound to
-    every interface, the server can't list its addresses; but a literal address can't be rebound.
-    """
-    name, colon, written_port = authority.lower().rpartition(":")
-    if not colon or "]" in written_port:  # a browser leaves port 80 out
-        name, written_port = authority.lower(), "80"
-    if written_port != str(port):
-        return False
-    bound = f"[{host}]" if ":" in host else host
-    if name in ("localhost", "127.0.0.1", "[::1]", bound.lower()):
-        return True
-    everywhere = host in ("0.0.0.0", "::")
-    return everywhere and (_is_address(name) or name == socket.gethostname().lower())
-
-
-def _is_address(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name[1:-1] if name.startswith("[") else name)
-    except ValueError:
-        return False
-    return True
 
 
 def _listener(host: str, port: int | None, default_port: int) -> socket.socket:
@@ -326,8 +315,15 @@ def _listen(host: str, port: int) -> socket.socket:
         raise CannotListen(f"{where}: {reason}; choose another host or port") from error
 
 
-class _QuietServer(viser.ViserServer):
+class GuardedServer(viser.ViserServer):
+    """A viser server that stops in silence, and lets in only what passes its gate."""
+
     gate: Gate | None = None
+
+    @property
+    def entrance(self) -> Entrance:
+        assert self.gate is not None  # `open_server` sets it
+        return self.gate.entrance
 
     def stop(self) -> None:
         with _viser_silenced():

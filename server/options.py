@@ -291,6 +291,7 @@ def _add_view(commands: Any) -> None:
         "--port", type=_whole("port", 0, 65535), default=0, metavar="N",
         help="port to listen on (default any)",
     )  # fmt: skip
+    _add_access(view)
     view.add_argument("--no-browser", action="store_true", help="open no browser")
 
 
@@ -485,8 +486,10 @@ def _add_own_rule(parser: argparse.ArgumentParser) -> None:
 def _add_page(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--host", default="127.0.0.1",
-        help="address to listen on (default %(default)s: this machine only; there is no password)",
+        help="address to listen on (default %(default)s: this machine only; with another the link "
+        "holds a token)",
     )  # fmt: skip
+    _add_access(parser)
     parser.add_argument(
         "--port", type=_whole("port", 0, 65535), metavar="N",
         help="port to listen on, 0 for any (default 8080, or the next free one)",
@@ -496,6 +499,26 @@ def _add_page(parser: argparse.ArgumentParser) -> None:
         help="folder for recordings that are begun on the page (default %(default)s)",
     )  # fmt: skip
     parser.add_argument("--no-browser", action="store_true", help="open no browser")
+
+
+def _add_access(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--allow-host", type=_allowed_host, action="append", default=[], metavar="NAME[:PORT]",
+        help="another name under which it is reached, by a proxy say; the link then holds a token",
+    )  # fmt: skip
+    parser.add_argument(
+        "--token", action=argparse.BooleanOptionalAction,
+        help="whether the link must hold a token (default only where other machines can reach it)",
+    )  # fmt: skip
+
+
+def _allowed_host(text: str) -> str:
+    from server.entrance import allowed_name
+
+    try:
+        return str(allowed_name(text))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def _add_recording(parser: argparse.ArgumentParser) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import pytest
-from playwright.sync_api import Browser, Locator, Page, Playwright, sync_playwright
+from playwright.sync_api import Browser, Frame, Locator, Page, Playwright, sync_playwright
 from playwright.sync_api import TimeoutError as NoSign
 
 SYSTEM_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -98,24 +98,39 @@ def _do_without(reason: str) -> NoReturn:
 
 @contextmanager
 def tab_at(
-    browser: Browser, address: str, *, width: int, height: int, sharpness: float = 0.5
+    browser: Browser,
+    address: str,
+    *,
+    width: int,
+    height: int,
+    sharpness: float = 0.5,
+    listen: Callable[[Page], object] = lambda _: None,
 ) -> Iterator[Page]:
     """A tab with the page, once it shows what runs and viser's notice of slow graphics is gone.
 
     It is closed in the end: all tabs of a browser are drawn by one process, and one that is
     forgotten makes those after it many times slower. `sharpness` is how many pixels of the scene
-    are drawn for one of the screen: few are fast.
+    are drawn for one of the screen: few are fast. `listen` gets the tab before it opens the page.
     """
     with browser.new_context(viewport={"width": width, "height": height}) as context:
         context.set_default_timeout(PATIENCE)
         context.add_init_script(FEW_FRAMES)
         page = context.new_page()
-        page.goto(f"{address}/?fixedDpr={sharpness}", wait_until="domcontentloaded")
+        listen(page)
+        address, _, query = address.partition("/?")
+        page.goto(f"{address}/?fixedDpr={sharpness}&{query}", wait_until="domcontentloaded")
         page.locator("canvas").first.wait_for()
         page.get_by_text(re.compile("hebbviz")).first.wait_for()
-        page.wait_for_function("document.body.textContent.includes('steps/s')")
+        shows_a_run(page)
         dismiss(page, "Software WebGL")
         yield page
+
+
+def shows_a_run(page: Page | Frame) -> None:
+    """Wait until a page says how fast its run goes. (The page's policy lets Playwright evaluate,
+    but not wait for a function.)
+    """
+    page.get_by_text("steps/s").first.wait_for(timeout=PATIENCE)
 
 
 def dismiss(page: Page, text: str) -> None:
@@ -124,11 +139,7 @@ def dismiss(page: Page, text: str) -> None:
     while notices.count():
         count = notices.count()
         notices.first.get_by_role("button").click()
-        page.wait_for_function(
-            "([text, n]) => [...document.querySelectorAll('.mantine-Notification-root')]"
-            ".filter(e => e.textContent.includes(text)).length < n",
-            arg=[text, count],
-        )
+        eventually(page, lambda count=count: notices.count() < count)
 
 
 def row(page: Page, label: str) -> Locator:

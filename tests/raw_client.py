@@ -63,6 +63,8 @@ class RawClient:
         port: Port of the server on `host`.
         origin: Origin header: the server's own page by default, None for none.
         name: Host header, where it is not to be the address.
+        path: What is asked for, with its query.
+        cookie: Cookie header, None for none.
         camera: Send the camera at once as a page does; viser calls no callbacks before.
         decode: Follow the GUI messages; without, frames and bytes are counted and no more.
     """
@@ -74,6 +76,8 @@ class RawClient:
         host: str = "127.0.0.1",
         origin: str | None = "own",
         name: str | None = None,
+        path: str = "/",
+        cookie: str | None = None,
         camera: bool = True,
         decode: bool = True,
     ) -> None:
@@ -85,7 +89,8 @@ class RawClient:
         self._decompressor = zstandard.ZstdDecompressor()
         address = f"{host}:{port}"
         origin = f"http://{address}" if origin == "own" else origin
-        self._connection = _run(_connect(host, port, name or address, origin))
+        where = f"ws://{name or address}{path}"
+        self._connection = _run(_connect(host, port, where, origin, cookie))
         self._receiver = asyncio.run_coroutine_threadsafe(self._receive(), _loop())
         if camera:
             self.send(CAMERA)
@@ -198,9 +203,11 @@ def answers(host: str, port: int) -> bool:
     return True
 
 
-async def _connect(host: str, port: int, name: str, origin: str | None) -> ClientConnection:
+async def _connect(
+    host: str, port: int, where: str, origin: str | None, cookie: str | None
+) -> ClientConnection:
     return await connect(
-        f"ws://{name}/",
+        where,
         host=host,
         port=port,
         origin=None if origin is None else Origin(origin),
@@ -208,6 +215,7 @@ async def _connect(host: str, port: int, name: str, origin: str | None) -> Clien
         compression=None,
         max_size=None,
         proxy=None,
+        additional_headers={} if cookie is None else {"Cookie": cookie},
     )
 
 

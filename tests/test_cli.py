@@ -20,7 +20,7 @@ from raw_client import RawClient, wait_until
 
 from hebbviz import files
 from hebbviz.learner import Learner
-from server import app, serve
+from server import app, authority, serve
 from server.cli import main
 from sims.loading import make_task
 
@@ -649,24 +649,53 @@ def test_serve_from_python_takes_the_next_port_and_says_so(
     assert learner.step > 10
 
 
-def test_warns_beyond_loopback() -> None:
-    with started("--host", "0.0.0.0", "--port", 0, "--no-browser") as process:
-        address, before = address_of(process)
+@pytest.mark.parametrize(
+    ("options", "said", "in_link"),
+    [
+        (["--host", "0.0.0.0"], "to look and change nothing: http://localhost:", "/?token="),
+        pytest.param(
+            ["--host", "0.0.0.0", "--no-token"], "whoever reaches it can change the run and record",
+            "localhost:", marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            ["--allow-host", "lab.example.org"], "to look and", "/?token=", marks=pytest.mark.slow
+        ),
+        pytest.param(["--token"], "to look and", "/?token=", marks=pytest.mark.slow),
+    ],
+)  # fmt: skip
+def test_says_who_may_come_in(options: list[str], said: str, in_link: str) -> None:
+    with started(*options, "--port", 0, "--no-browser") as process:
+        link, before = address_of(process)
+        address, _, path = link.partition("/")
+        port = int(address.rpartition(":")[2])
+        with contextlib.closing(http.client.HTTPConnection("127.0.0.1", port, timeout=10)) as asked:
+            asked.request("GET", f"/{path}")
+            assert asked.getresponse().status == 200
+        with contextlib.closing(http.client.HTTPConnection("127.0.0.1", port, timeout=10)) as asked:
+            asked.request("GET", "/", headers={"Host": "evil.example"})
+            assert asked.getresponse().status == 403
         process.terminate()
-        process.communicate(timeout=PATIENCE)
-    assert address.startswith("localhost:")
-    assert any("no password" in line for line in before)
+        _, err = process.communicate(timeout=PATIENCE)
+    assert in_link in link
+    assert any(said in line for line in before)
+    assert err.count("\n") == 1 and "--allow-host evil.example" in err
     assert process.returncode == 0
+
+
+def test_a_name_that_cannot_be_allowed_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = run("--allow-host", "*.example.org", capsys=capsys)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "must be NAME or NAME:PORT, such as lab.example.org, got '*.example.org'" in err
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "::1", "127.3.2.1"])
 def test_loopback_is_known(host: str) -> None:
-    assert app.is_loopback(host)
+    assert authority.is_loopback(host)
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.0.2.1", "::", "no.such.host.invalid"])
 def test_all_else_is_not_loopback(host: str) -> None:
-    assert not app.is_loopback(host)
+    assert not authority.is_loopback(host)
 
 
 def test_the_terminal_tells_why_a_task_stopped_under_the_page(

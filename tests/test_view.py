@@ -25,6 +25,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, Request, Response
 from raw_client import answers, wait_until
 
+from server.entrance import Access
 from server.recording import viewer
 from server.recording.viewer import NoViewer, Viewer
 
@@ -156,7 +157,7 @@ def test_it_can_only_be_read(shown: Viewer, method: str) -> None:
 @pytest.mark.parametrize("path", ["/", "/recording.rrd", "/nothing"])
 @pytest.mark.parametrize(
     "hosts",
-    [[], ["evil.example"], ["evil.example:{port}"], ["127.0.0.1"], ["localhost:1"], [""]]
+    [[], ["evil.example"], ["evil.example:{port}"], ["10.0.0.1"], [""]]
     + [["127.0.0.1:{port}.evil.example"], ["127.0.0.1:{port}", "evil.example"]],
 )
 def test_only_its_own_names_are_answered(shown: Viewer, hosts: list[str], path: str) -> None:
@@ -165,9 +166,45 @@ def test_only_its_own_names_are_answered(shown: Viewer, hosts: list[str], path: 
     assert status == 403 and b"hebbviz<" not in body and not body.startswith(b"RRF")
 
 
-def test_both_its_own_names_are_answered(shown: Viewer) -> None:
-    for name in ("127.0.0.1", "localhost", "LocalHost"):
-        assert _ask(shown, "/", hosts=[f"{name}:{_port(shown)}"])[0] == 200
+@pytest.mark.parametrize("path", ["/", "/recording.rrd"])
+def test_other_pages_are_not_answered(shown: Viewer, path: str) -> None:
+    own = f"http://127.0.0.1:{_port(shown)}"
+    assert _ask(shown, path, Origin=own)[0] == 200
+    assert _ask(shown, path, Origin="http://127.0.0.1:1")[0] == 403
+
+
+def test_its_own_names_are_answered_with_any_port(shown: Viewer) -> None:
+    """It may be forwarded."""
+    for name in ("127.0.0.1", "localhost", "LocalHost", "localhost.:9000", "[::1]:9000"):
+        assert _ask(shown, "/", hosts=[name])[0] == 200
+
+
+def test_an_allowed_name_is_answered_and_needs_the_token(recording: Path) -> None:
+    told: list[str] = []
+    allowed = Access(("lab.example.org",))
+    with contextlib.closing(Viewer(recording, access=allowed, on_turned_away=told.append)) as one:
+        link = urlsplit(one.link)
+        assert one.warning is None
+        for path in ("/", "/recording.rrd", "/?token=wrong"):
+            assert _ask(one, path, hosts=["lab.example.org"])[0] == 403
+        status, headers, _ = _ask(one, f"/?{link.query}", hosts=["lab.example.org"])
+        assert status == 200
+        cookie = headers["Set-Cookie"].split(";")[0]
+        body = _ask(one, "/recording.rrd", hosts=["lab.example.org"], Cookie=cookie)[2]
+        assert body == recording.read_bytes()
+        assert _ask(one, "/", hosts=["evil.example"], Cookie=cookie)[0] == 403
+        assert _ask(one, "/", hosts=["evil.example"], Cookie=cookie)[0] == 403
+    assert [line.partition("; ")[2] for line in told] == [
+        "open the link that was printed as this one started",
+        "if it is: --allow-host evil.example",
+    ]
+
+
+def test_it_says_what_no_token_opens(recording: Path) -> None:
+    allowed = Access(("lab.example.org",), token=False)
+    with contextlib.closing(Viewer(recording, access=allowed)) as one:
+        assert one.warning is not None and "whoever reaches it can read" in one.warning
+        assert _ask(one, "/recording.rrd", hosts=["lab.example.org"])[0] == 200
 
 
 @pytest.mark.parametrize("path", ["/", "/recording.rrd", "/nothing"])
@@ -177,6 +214,7 @@ def test_every_answer_has_the_policy(shown: Viewer, path: str) -> None:
     assert "default-src 'none'" in policy and "connect-src 'self'" in policy
     assert not re.search(r"https?:|\*|'unsafe-inline'|'unsafe-eval'", policy)
     assert headers["X-Content-Type-Options"] == "nosniff"
+    assert headers["X-Frame-Options"] == "DENY" and "frame-ancestors 'none'" in policy
     assert headers["Referrer-Policy"] == "no-referrer"
     assert headers["Cross-Origin-Resource-Policy"] == "same-origin"
     assert "Access-Control-Allow-Origin" not in headers
@@ -351,7 +389,7 @@ def _connection(shown: Viewer) -> Iterator[http.client.HTTPConnection]:
 
 
 def _ask(
-    shown: Viewer, path: str, *, method: str = "GET", hosts: list[str] | None = None
+    shown: Viewer, path: str, *, method: str = "GET", hosts: list[str] | None = None, **more: str
 ) -> tuple[int, http.client.HTTPMessage, bytes]:
     """Status, headers and body of the answer; `hosts` are its Host headers, one if not given."""
     own = [f"127.0.0.1:{_port(shown)}"]
@@ -359,6 +397,8 @@ def _ask(
         connection.putrequest(method, path, skip_host=True)
         for host in own if hosts is None else hosts:
             connection.putheader("Host", host)
+        for name, value in more.items():
+            connection.putheader(name, value)
         connection.endheaders()
         answer = connection.getresponse()
         return answer.status, answer.headers, answer.read()

@@ -26,11 +26,13 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from server.entrance import Access, Entrance, Passage, Role, headers
+from server.refusal import Refused
 from server.terminal import reason
 from server.window import open_window
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
 HOST = "127.0.0.1"
 PATIENCE_SECONDS = 60.0
@@ -46,26 +48,15 @@ RERUNS_OWN = {
 }
 """Path and type of the files that rerun's program hands over."""
 
-HEADERS = {
-    "Content-Security-Policy": "; ".join(
-        (
-            "default-src 'none'",
-            "script-src 'self' 'wasm-unsafe-eval'",
-            "connect-src 'self'",
-            "img-src 'self' data: blob:",
-            "media-src data: blob:",
-            "style-src 'self'",
-            "base-uri 'none'",
-            "form-action 'none'",
-            "frame-ancestors 'none'",
-        )
-    ),
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Cross-Origin-Resource-Policy": "same-origin",  # other sites cannot embed the recording
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-    "Cache-Control": "no-store",  # the next recording may be shown at the same address
-}
+HEADERS = headers(
+    {
+        "script-src": "'self' 'wasm-unsafe-eval'",
+        "connect-src": "'self'",
+        "img-src": "'self' data: blob:",
+        "media-src": "data: blob:",
+        "style-src": "'self'",
+    }
+)
 """Sent with every answer."""
 
 PAGE = """<!doctype html>
@@ -143,13 +134,25 @@ class NoViewer(OSError):
 class Viewer:
     """Shows one recording to the browsers of this machine; it listens from here on.
 
-    `port` 0 is any free one. Raises ValueError if `path` is no recording or `port` no port, and
-    OSError if the port cannot be listened on or rerun's viewer cannot be had (`NoViewer`).
+    `port` 0 is any free one. `access` says who may come in, `on_turned_away` is told once of a
+    request of each kind that may not, with the remedy.
+
+    Raises ValueError if `path` is no recording or `port` no port, and OSError if the port cannot be
+    listened on or rerun's viewer cannot be had (`NoViewer`).
     """
 
-    def __init__(self, path: str | Path, *, port: int = 0) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        port: int = 0,
+        access: Access = Access(),  # noqa: B008
+        on_turned_away: Callable[[str], None] = lambda _: None,
+    ) -> None:
         self.path = check_recording(path)
         self._server = _listen(port)
+        self._server.entrance = Entrance(HOST, access)
+        self._server.on_turned_away = on_turned_away
         try:
             self._server.files = _page(self.path.name) | _reruns_own()
         except BaseException:
@@ -166,14 +169,24 @@ class Viewer:
 
     @property
     def address(self) -> str:
-        """What to open in a browser."""
+        """Where it is on this machine."""
         return f"http://{HOST}:{self._server.server_port}/"
+
+    @property
+    def link(self) -> str:
+        """What to open in a browser."""
+        return self._server.entrance.link(self.address)
+
+    @property
+    def warning(self) -> str | None:
+        """What is to be said of who can reach it, if anything."""
+        return self._server.entrance.warning("read the recording")
 
     def run(self, stop: threading.Event, *, open_browser: bool) -> None:
         """Show it until `stop` is set; then close."""
         try:
             if open_browser:
-                open_window(self.address)
+                open_window(self._server.entrance.link_for_once(self.address))
             while not stop.wait(1.0):  # where a wait has no end, Windows heeds no Ctrl-C
                 pass
         finally:
@@ -221,6 +234,9 @@ class _Server(ThreadingHTTPServer):
     def __init__(self, port: int) -> None:
         self.files: dict[str, _File] = {}
         self.recording = Path()
+        self.entrance = Entrance(HOST)
+        self.on_turned_away: Callable[[str], None] = lambda _: None
+        self.told: set[str] = set()
         self._connections: set[Any] = set()
         super().__init__((HOST, port), _Handler)
 
@@ -257,12 +273,13 @@ class _Handler(BaseHTTPRequestHandler):
 
     server: _Server
     server_version, sys_version = "hebbviz", ""
+    passage = Passage(Role.NOBODY)
 
     def do_GET(self) -> None:
         path = self.path.partition("?")[0]
-        if not self._is_for_us():
-            self.send_error(HTTPStatus.FORBIDDEN, "Not addressed to this server")
-        elif path == RECORDING:
+        if not self._is_let_in():
+            return
+        if path == RECORDING:
             self._send_recording()
         elif path in self.server.files:
             kind, content = self.server.files[path]
@@ -277,18 +294,26 @@ class _Handler(BaseHTTPRequestHandler):
     def end_headers(self) -> None:
         for name, value in HEADERS.items():
             self.send_header(name, value)
+        if self.passage.cookie is not None:
+            self.send_header("Set-Cookie", self.passage.cookie)
         super().end_headers()
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
         """Say nothing: the terminal is the user's."""
 
-    def _is_for_us(self) -> bool:
-        """Whether it is addressed to our name. A hostile site may have its own name lead to us,
-        to have its scripts pass for ours.
-        """
-        port = self.server.server_port
-        hosts = [host.lower() for host in self.headers.get_all("Host", [])]
-        return len(hosts) == 1 and hosts[0] in (f"{HOST}:{port}", f"localhost:{port}")
+    def _is_let_in(self) -> bool:
+        """Whether the request passes the entrance; one that does not is answered here."""
+        try:
+            self.passage = self.server.entrance.check(
+                self.path, lambda name: self.headers.get_all(name, [])
+            )
+        except Refused as refused:
+            if refused.kind not in self.server.told:
+                self.server.told.add(refused.kind)
+                self.server.on_turned_away(refused.line)
+            self.send_error(HTTPStatus.FORBIDDEN, "Refused", refused.line)
+            return False
+        return True
 
     def _send_recording(self) -> None:
         """As much of it as is there now: it may still be written to."""
