@@ -1,8 +1,10 @@
 """Imports run one way: the rule knows no world, and no world knows the page."""
 
 import ast
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -63,3 +65,34 @@ def _loaded(modules):
         [sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True
     )
     return set(done.stdout.split())
+
+
+ELSEWHERE = {"rerun-sdk": "rerun", "pillow": "PIL"}
+"""Packages that are imported by another name."""
+
+
+def declared(*extras):
+    """What pyproject.toml declares for these: import name and bounds."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    lines = list(project["dependencies"])
+    for extra in extras:
+        lines += project["optional-dependencies"][extra]
+    found = [re.fullmatch(r"([a-z0-9-]+)(.*)", line) for line in lines]
+    return {ELSEWHERE.get(m[1], m[1]): m[2] for m in found}
+
+
+@pytest.mark.parametrize(
+    ("folders", "extras"),
+    [(("hebbviz", "sims", "server"), ("cluster",)), (("tests",), ("dev", "bench"))],
+)
+def test_what_is_imported_is_declared(folders, extras):
+    files = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
+    names = set().union(*(imported(path.read_text()) for path in files))
+    own = {path.stem for path in files} | {"hebbviz", "sims", "server", "examples"}
+    others = names - own - {n for n in names if n.startswith(".")} - set(sys.stdlib_module_names)
+    assert others - set(declared(*extras)) == set()
+
+
+def test_what_may_break_has_an_upper_bound():
+    unbounded = {name for name, bounds in declared().items() if "<" not in bounds}
+    assert unbounded == {"llvmlite"}  # numba bounds it
