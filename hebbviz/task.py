@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from hebbviz.poisson import time_to_event
 from hebbviz.switches import Switch, UnknownPreset, find_preset, is_on, spelled
 from hebbviz.topology import SYMMETRIC, Activity, Topology, feedforward
 
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-IS_LOWER_BOUND = "is_lower_bound"
-"""The figure that says whether the measure is a lower bound, beside it."""
+FROZEN_STEPS = 100_000
+"""Of a frozen copy that is evaluated, as in the paper."""
 
 
 @dataclass(frozen=True)
@@ -89,10 +90,27 @@ class Tally:
 
 @dataclass(frozen=True)
 class Score:
-    """A task's measure of success over a stretch; `is_bound`: the truth is this or more."""
+    """A task's measure of success over a stretch.
+
+    A mean time to an event is an estimate, made by `per_event`: `events` were counted in a `time`.
+    """
 
     value: float
-    is_bound: bool = False
+    events: int | None = None
+    time: float = 0.0
+
+    @classmethod
+    def per_event(cls, time: float, events: float) -> Score:
+        """time/events, the maximum-likelihood estimate also if the last wait was cut short;
+        infinite without an event.
+        """
+        count = round(events)
+        return cls(time / count if count else math.inf, count, time)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Of a mean time to an event: its 95 % interval, see `poisson.time_to_event`."""
+        return time_to_event(self.time, self.events or 0)
 
 
 @dataclass(frozen=True)
@@ -100,7 +118,8 @@ class Measure:
     """What the learning curve shows: a name, a key for files, a unit, and its axis.
 
     `span` is the range of the axis, None for one that follows the curve; a logarithmic axis
-    needs one.
+    needs one. A mean time to an event says which `event`, in the singular: its scores are made by
+    `Score.per_event`.
     """
 
     name: str
@@ -108,6 +127,27 @@ class Measure:
     unit: str = ""
     span: tuple[float, float] | None = None
     logarithmic: bool = False
+    event: str = ""
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The figures that tell it: the key alone, or with the number of events and both ends of
+        the 95 % interval.
+        """
+        return (self.key, f"{self.event}s", *self.ends) if self.event else (self.key,)
+
+    @property
+    def ends(self) -> tuple[str, str]:
+        """The keys of the ends of the 95 % interval."""
+        return f"{self.key}_low", f"{self.key}_high"
+
+    def figures(self, score: Score) -> dict[str, float]:
+        """A score as the figures of `keys`; infinite are the time to an event that was not seen,
+        and the upper end of its interval.
+        """
+        if not self.event:
+            return {self.key: score.value}
+        return dict(zip(self.keys, (score.value, score.events or 0, *score.interval), strict=True))
 
 
 @dataclass(frozen=True)
@@ -308,20 +348,18 @@ class Task:
         return Score(tally.average_reward)
 
     def evaluate(self, learner: Learner) -> dict[str, Array]:
-        """How a frozen copy does in each lane, (lanes,), in a run of its own: the measure, and 1
-        where it is a lower bound.
+        """How a frozen copy does in each lane, (lanes,), in a run of its own: the figures of the
+        measure over 100 000 steps.
 
         The learner is left as it is.
         """
-        scores = [self.score(t) for t in learner.frozen_copy().skip_tallied(100_000)]
-        return {
-            self.measure.key: np.array([s.value for s in scores]),
-            IS_LOWER_BOUND: np.array([float(s.is_bound) for s in scores]),
-        }
+        tallies = learner.frozen_copy().skip_tallied(FROZEN_STEPS)
+        figures = [self.measure.figures(self.score(t)) for t in tallies]
+        return {key: np.array([f[key] for f in figures]) for key in self.measure.keys}
 
     def results(self, learner: Learner, late: Tally) -> dict[str, float]:
         """The figures `hebbviz train` reports; `late` covers the last fifth of its steps."""
-        return {self.measure.key: self.score(late).value}
+        return self.measure.figures(self.score(late))
 
     def truth(self, weights: Array, topology: Topology, beta: float) -> GradientTruth | None:
         """The true gradient for `weights` (synapses,), of a task that can know it; else None.

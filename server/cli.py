@@ -306,7 +306,7 @@ def _report(args: argparse.Namespace, learner: Learner, training: Training) -> i
     if args.json:
         say(json.dumps(own | figures, allow_nan=False))
     else:
-        say(describe(figures, own) + (f"\n{saved}" if saved else ""))
+        say(describe(figures, own, learner.task.measure) + (f"\n{saved}" if saved else ""))
     return FINE if failure is None else fail(FAILED, failure)
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from hebbviz.task import IS_LOWER_BOUND, Measure, Score, Task
+from hebbviz.poisson import time_to_event
+from hebbviz.task import Measure, Task
 from server import palette, spread, words
 from server.charts import Chart, Cursor, Points
 from server.commands import GiveReward
@@ -17,7 +18,7 @@ from server.evaluation import Evaluation
 from server.history import Curve
 from server.palette import Rgb, Theme
 from server.picture import Other, Picture
-from server.spread import Bools, Scores, Spread, middle_is_bound, middle_of
+from server.spread import Scores, Spread
 
 Array = NDArray[np.float64]
 Bands = dict[str, tuple[Points, Points]]
@@ -41,7 +42,8 @@ class Learning:
         self._middle = f"{spread.names(task.measure)[0]} of {lanes} lanes"
         frozen = dict(zip(_frozen_names(task), FROZEN, strict=False))
         series = {self._run: theme.ink if self._has_lanes else palette.SERIES[0]}
-        series |= {"at least": palette.SERIES[1], "earlier run": EARLIER}
+        self._dots = _dots_name(task.measure)
+        series |= {self._dots: palette.SERIES[1], "earlier run": EARLIER}
         banded: tuple[str, ...] = ()
         if self._has_lanes:
             banded = (self._middle, *frozen)
@@ -52,7 +54,7 @@ class Learning:
         self._chart = Chart(
             gui, tab, f"{measure.name}{unit}", series, banded=banded,
             widths=dict.fromkeys(banded, 2.5) | ({self._run: 0.8} if self._has_lanes else {}),
-            dashed=("earlier run",), dotted=("at least",), logarithmic=measure.logarithmic,
+            dashed=("earlier run",), dotted=(self._dots,), logarithmic=measure.logarithmic,
             span=measure.span, height=HEIGHT_WITH_LANES if self._has_lanes else HEIGHT,
         )  # fmt: skip
         with tab:
@@ -63,23 +65,25 @@ class Learning:
             handle.remove()
 
     def draw(self, picture: Picture) -> None:
-        curve, all_lanes = picture.curve, None
+        task, curve, all_lanes, newest = picture.task, picture.curve, None, None
         if self._has_lanes:
             curves = picture.curves.coarser(MOST_WINDOWS)
             curve, all_lanes = curves.lane(picture.lane), self._scores.spread(curves)
-        points = dict(zip((self._run, "at least"), _scores(picture, curve), strict=True))
+            newest = self._scores.of(curves)[-1:]
+        points = {self._run: _scores(picture, curve)}
         bands: Bands = {}
         if all_lanes is not None:
-            points[self._middle], bands[self._middle] = _drawn(all_lanes)
+            points[self._middle], bands[self._middle] = _drawn(all_lanes, task.measure)
         for name, of_copies in _frozen(picture).items():
-            points[name], bands[name] = _drawn(of_copies)
+            points[name], bands[name] = _drawn(of_copies, task.measure)
+        points[self._dots] = _dots(task, curve, all_lanes)
         points |= self._earlier(picture)
         more = others(picture)
         if picture.other is not None:
-            points |= dict.fromkeys(more, _scores(picture, since(picture.other))[0])
+            points |= dict.fromkeys(more, _scores(picture, since(picture.other)))
         self._chart.draw(points, marks(picture), bands=bands, cursor=cursor(picture), more=more)
-        at_least = len(points["at least"][0]) > 0
-        self._words.content = _said(picture, curve, all_lanes, at_least=at_least)
+        has_dots = len(points[self._dots][0]) > 0
+        self._words.content = _said(picture, curve, newest, has_dots=has_dots)
 
     def _earlier(self, picture: Picture) -> dict[str, Points]:
         """The run before: the middle of its lanes. Of one lane alone the windows are too unlike
@@ -89,8 +93,9 @@ class Learning:
         if ghost is None or (self._has_lanes and ghost.lanes == 1):
             return {}
         if ghost.lanes == 1:
-            return {"earlier run": _scores(picture, ghost.lane(0))[0]}
-        return {"earlier run": _drawn(self._ghost_scores.spread(ghost.coarser(MOST_WINDOWS)))[0]}
+            return {"earlier run": _scores(picture, ghost.lane(0))}
+        middle = self._ghost_scores.spread(ghost.coarser(MOST_WINDOWS))
+        return {"earlier run": _drawn(middle, picture.task.measure)[0]}
 
 
 # What other charts of a run show too
@@ -125,7 +130,8 @@ def evaluated(picture: Picture) -> str:
     if not picture.evaluations:
         return ""
     latest = picture.evaluations[-1]
-    said = [_figure(picture, latest, key) for key in latest.figures if key != IS_LOWER_BOUND]
+    besides = picture.task.measure.keys[1:]
+    said = [_figure(picture, latest, key) for key in latest.figures if key not in besides]
     return f"Frozen copy at step {words.count(latest.step)}: {', '.join(said)}."
 
 
@@ -134,20 +140,33 @@ def evaluated(picture: Picture) -> str:
 FROZEN: tuple[Rgb, ...] = (palette.SERIES[2], palette.SERIES[4])
 
 
-def _drawn(of_lanes: Spread) -> tuple[Points, tuple[Points, Points]]:
-    """The line and its band."""
-    x = of_lanes.x
-    return (x, of_lanes.middle), ((x, of_lanes.low), (x, of_lanes.high))
+def _drawn(of_lanes: Spread, measure: Measure) -> tuple[Points, tuple[Points, Points]]:
+    """The line and its band, which ends at the top of the axis where it has no end."""
+    x, middle = of_lanes.x, of_lanes.middle
+    finite = of_lanes.high[np.isfinite(of_lanes.high)]
+    top = measure.span[1] if measure.span else finite.max(initial=0.0)
+    low, high = (np.where(np.isinf(edge), top, edge) for edge in (of_lanes.low, of_lanes.high))
+    return (x, np.where(np.isinf(middle), np.nan, middle)), ((x, low), (x, high))
 
 
-def _scores(picture: Picture, curve: Curve) -> tuple[Points, Points]:
-    """The task's measure of every window; bounds apart."""
-    scores = [picture.task.score(t) for t in curve.tallies()]
-    value = np.array([s.value for s in scores])
-    bound = np.array([s.is_bound for s in scores], dtype=bool)
+def _scores(picture: Picture, curve: Curve) -> Points:
+    """The task's measure of every window; NaN where its event was not seen."""
+    value = np.array([picture.task.score(t).value for t in curve.tallies()])
     if picture.task.measure.logarithmic:
         value = np.where(value > 0, value, np.nan)
-    return (curve.end, value), (curve.end[bound], value[bound])
+    return curve.end, np.where(np.isinf(value), np.nan, value)
+
+
+def _dots(task: Task, curve: Curve, all_lanes: Spread | None) -> Points:
+    """Windows without an event, in the lane or in half of all lanes: what the time to it is over,
+    with 95 % confidence.
+    """
+    scores = [task.score(t) for t in curve.tallies()]
+    none = np.array([s.events == 0 for s in scores], dtype=bool)
+    if all_lanes is not None:
+        none |= np.isinf(all_lanes.middle)
+    over = np.array([time_to_event(s.time, 0)[0] for s in scores])
+    return curve.end[none], over[none]
 
 
 def _frozen_names(task: Task) -> list[str]:
@@ -164,27 +183,35 @@ def _frozen(picture: Picture) -> dict[str, Spread]:
     x = np.array([e.step for e in done], dtype=np.float64)
     spreads = {}
     for key in task.frozen_figures:
-        shape = len(done), picture.lanes
-        values = np.array([e.figures[key] for e in done]).reshape(shape)
-        bounds = np.array([_bounds(task, e, key) for e in done], dtype=bool).reshape(shape)
-        spreads[_spaced(key)] = Spread.of(x, _in_unit(task, key, values), bounds, task.measure)
+        values = np.array([e.figures[key] for e in done]).reshape(len(done), picture.lanes)
+        spreads[_spaced(key)] = Spread.of(x, _in_unit(task, key, values), task.measure)
     return spreads
 
 
-def _said(picture: Picture, curve: Curve, all_lanes: Spread | None, *, at_least: bool) -> str:
+def _said(picture: Picture, curve: Curve, newest: Array | None, *, has_dots: bool) -> str:
+    """`newest` (1, lanes): the last window of all lanes."""
     measure = picture.task.measure
-    newest = curve.tallies()[-1:]
-    now = "".join(f", now **{words.score(picture.task.score(t), measure)}**" for t in newest)
-    if now and all_lanes is not None:
+    last = curve.tallies()[-1:]
+    now = "".join(f", now **{words.score(picture.task.score(t), measure)}**" for t in last)
+    if now and newest is not None:
         name, band = spread.names(measure)
-        middle = Score(float(all_lanes.middle[-1]), bool(all_lanes.is_bound[-1]))
-        now += f" in lane {picture.lane}; {name} **{words.score(middle, measure)}** (band: {band})"
-    bound = " Dots: no fall in that window, so at least this." if at_least else ""
+        now += f" in lane {picture.lane}; {name} **{words.middle(newest[0], measure)}**"
+        now += f" (band: {band})"
+    dots = f" {_dots_words(measure, picture.lanes)}" if has_dots else ""
     both = "" if picture.other is None else words.compared(picture, picture.other)
     return (
-        f"{both}\n\nEach point sums up {words.steps(curve.window)}{now}.{bound} "
+        f"{both}\n\nEach point sums up {words.steps(curve.window)}{now}.{dots} "
         f"{_by_hand(picture)} {_changes(picture)} {evaluated(picture)}"
     )
+
+
+def _dots_name(measure: Measure) -> str:
+    return f"no {measure.event}: over this"
+
+
+def _dots_words(measure: Measure, lanes: int) -> str:
+    where = "in the lane watched or in half of the lanes" if lanes > 1 else "in that window"
+    return f"Dots: no {measure.event} {where}, so over this, with 95 % confidence."
 
 
 def _by_hand(picture: Picture) -> str:
@@ -199,22 +226,15 @@ def _figure(picture: Picture, done: Evaluation, key: str) -> str:
     """One figure of a frozen copy in words: of the watched lane, and of the middle of several."""
     measure = _measure_of(picture.task, key)
     values = _in_unit(picture.task, key, done.figures[key])
-    bounds = _bounds(picture.task, done, key)
-    one = Score(float(values[picture.lane]), bool(bounds[picture.lane]))
-    said = f"{measure.name} **{words.score(one, measure)}**"
+    if measure.event:
+        value, count, low, high = (float(done.figures[k][picture.lane]) for k in measure.keys)
+        one = words.estimate((value, count, low, high), measure)
+    else:
+        one = words.amount(float(values[picture.lane]), measure)
+    said = f"{measure.name} **{one}**"
     if picture.lanes == 1:
         return said
-    middle = middle_of(measure)
-    many = Score(float(middle(values)), bool(middle_is_bound(middle, values, bounds)))
-    return f"{said} ({spread.names(measure)[0]} {words.score(many, measure)})"
-
-
-def _bounds(task: Task, done: Evaluation, key: str) -> Bools:
-    """Where a figure is a lower bound, (lanes,): the measure alone can be."""
-    values = done.figures[key]
-    if key != task.measure.key:
-        return np.zeros(len(values), dtype=bool)
-    return done.figures.get(IS_LOWER_BOUND, np.zeros(len(values))) > 0
+    return f"{said} ({spread.names(measure)[0]} {words.middle(values, measure)})"
 
 
 def _measure_of(task: Task, key: str) -> Measure:
@@ -222,7 +242,7 @@ def _measure_of(task: Task, key: str) -> Measure:
     if key == task.measure.key:
         return task.measure
     if key in task.frozen_figures:
-        return replace(task.measure, name=_spaced(key), key=key)
+        return replace(task.measure, name=_spaced(key), key=key, event="")
     return Measure(_spaced(key), key)
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,51 +12,73 @@ from hebbviz.task import Measure, Tally, Task
 from server.history import Curves, Totals
 
 Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Middle = Callable[..., Any]
 
 
 @dataclass(frozen=True)
 class Spread:
     """At steps `x`: the `middle` of all lanes and the band from `low` to `high`, (n,) each.
 
-    Mean and mean ± standard deviation; where the measure is logarithmic, median and quartiles.
-    `is_bound` (n,): the true middle is this or more.
+    Mean and mean ± standard deviation; of a time to an event, or where the measure is logarithmic,
+    median and quartiles. A lane in which the measure's event was not seen counts as longer than all
+    others: infinite.
     """
 
     x: Array
     low: Array
     middle: Array
     high: Array
-    is_bound: Bools
 
     @classmethod
-    def of(cls, x: Array, values: Array, is_bound: Bools, measure: Measure) -> Spread:
-        """Of `values` (n, lanes); where `is_bound`, the truth is this or more."""
-        if measure.logarithmic:
-            low, middle, high = np.quantile(values, (0.25, 0.5, 0.75), axis=1)
+    def of(cls, x: Array, values: Array, measure: Measure) -> Spread:
+        """Of `values` (n, lanes)."""
+        if goes_by_rank(measure):
+            low, middle, high = quantiles(values, (0.25, 0.5, 0.75))
         else:
-            middle, deviation = values.mean(axis=1), values.std(axis=1)
+            middle, deviation = values.mean(axis=1), np.nan_to_num(deviation_of(values))
             low, high = middle - deviation, middle + deviation
-        return cls(x, low, middle, high, middle_is_bound(middle_of(measure), values, is_bound))
+        return cls(x, low, middle, high)
 
 
-def middle_of(measure: Measure) -> Middle:
-    """What the middle of lanes is: the mean, or the median where the measure is logarithmic."""
-    return np.median if measure.logarithmic else np.mean
+def middle_of(values: Array, measure: Measure) -> float:
+    """The middle of lanes (lanes,), as `Spread` has it."""
+    return float(median(values) if goes_by_rank(measure) else values.mean())
 
 
-def middle_is_bound(middle: Middle, values: Array, is_bound: Bools) -> Bools:
-    """Whether the middle of lanes, (..., lanes), is a lower bound, (...,): whether it would be more
-    if the values that are bounds were without end.
+def goes_by_rank(measure: Measure) -> bool:
+    """Whether lanes are told by their median: their mean says little, or is infinite."""
+    return measure.logarithmic or bool(measure.event)
+
+
+def deviation_of(values: Array, axis: int = -1) -> Array:
+    """The standard deviation of a sample, with n − 1; NaN for one value, which has none."""
+    if values.shape[axis] > 1:
+        spread: Array = np.std(values, axis=axis, ddof=1)
+        return spread
+    return np.full_like(values.mean(axis=axis), np.nan)
+
+
+def quantiles(values: Array, shares: Sequence[float]) -> Array:
+    """Quantiles along the last axis, (..., lanes) in and (shares, ...) out: NumPy's usual ones, but
+    that values may be infinite.
     """
-    more: Bools = middle(np.where(is_bound, np.inf, values), axis=-1) > middle(values, axis=-1)
-    return more
+    ranked = np.sort(values, axis=-1)
+    place = np.asarray(shares) * (values.shape[-1] - 1)
+    below, above = np.floor(place).astype(int), np.ceil(place).astype(int)
+    low, high = np.moveaxis(ranked[..., below], -1, 0), np.moveaxis(ranked[..., above], -1, 0)
+    with np.errstate(invalid="ignore"):
+        steps = (high - low) * (place - below).reshape(-1, *[1] * (low.ndim - 1))
+    return np.where(low == high, low, low + steps)
+
+
+def median(values: Array) -> Array:
+    """Over the last axis; values may be infinite."""
+    middle: Array = quantiles(values, (0.5,))[0]
+    return middle
 
 
 def names(measure: Measure) -> tuple[str, str]:
     """What the middle and the band are."""
-    if measure.logarithmic:
+    if goes_by_rank(measure):
         return "median", "quartiles"
     return "mean", "± standard deviation"
 
@@ -69,20 +90,19 @@ class Scores:
         self._task = task
         self._known: dict[tuple[Totals, Totals], Array] = {}
 
-    def of(self, curves: Curves) -> tuple[Array, Bools]:
-        """The values, and where they are lower bounds, each (windows, lanes)."""
+    def of(self, curves: Curves) -> Array:
+        """The values, (windows, lanes)."""
         windows = list(zip(curves.edges, curves.edges[1:], strict=False))
         known = self._known
         self._known = {w: known[w] if w in known else self._score(*w) for w in windows}
-        scores = np.array(list(self._known.values())).reshape(-1, curves.lanes, 2)
-        return scores[:, :, 0], scores[:, :, 1] > 0
+        return np.array(list(self._known.values())).reshape(-1, curves.lanes)
 
     def spread(self, curves: Curves) -> Spread:
         end = np.array([t.steps for t in curves.edges[1:]], dtype=np.float64)
-        return Spread.of(end, *self.of(curves), self._task.measure)
+        return Spread.of(end, self.of(curves), self._task.measure)
 
     def _score(self, start: Totals, end: Totals) -> Array:
-        """Of one window: (lanes, 2)."""
+        """Of one window: (lanes,)."""
         steps = end.steps - start.steps
-        scores = [self._task.score(Tally(steps, *s)) for s in (end.sums - start.sums).T.tolist()]
-        return np.array([(s.value, s.is_bound) for s in scores])
+        sums = (end.sums - start.sums).T.tolist()
+        return np.array([self._task.score(Tally(steps, *s)).value for s in sums])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import sys
 import threading
 import time
@@ -15,7 +16,7 @@ from tqdm import tqdm  # type: ignore[import-untyped]
 import hebbviz
 from hebbviz.learner import TaskError
 from hebbviz.rules.paper import PAPER
-from hebbviz.task import IS_LOWER_BOUND
+from server import events
 from server.making import maker
 from server.recording.recordings import Options, Recordings
 from server.recording.status import Status
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from hebbviz.learner import Learner
-    from hebbviz.task import Tally
+    from hebbviz.task import Measure, Tally
 
 CHUNK_SECONDS = 0.1
 """Aim for one uninterrupted stretch of steps; a stop waits at most about twice this."""
@@ -204,21 +205,26 @@ def _progress(steps: int, *, shown: bool) -> Iterator[Callable[[int], object]]:
 
 
 def own_figures(learner: Learner, training: Training) -> Figures:
-    """The task's own figures; None is what was not measured or is not finite.
+    """The task's own figures; None is what was not measured or is infinite, as the time to an event
+    that was not seen.
 
     Raises TaskError if the task cannot tell them.
     """
     task = learner.task
     try:
         figures = task.results(learner, training.late)
-        own = {str(name): finite(value) for name, value in figures.items()}
-        is_bound = training.late.steps > 0 and task.score(training.late).is_bound
+        own = {str(name): _plain(value) for name, value in figures.items()}
     except Exception as error:
         what = f"{type(error).__name__}: {error}"
         raise TaskError(f"task {task.name!r} cannot tell its results: {what}") from error
-    if training.late.steps == 0 and task.measure.key in own:
-        own[task.measure.key] = None
-    return own | {IS_LOWER_BOUND: bool(is_bound)}
+    if training.late.steps == 0:
+        own |= {key: None for key in task.measure.keys if key in own}
+    return own
+
+
+def _plain(value: float) -> float | None:
+    """As JSON can say it: a count stays whole."""
+    return value if isinstance(value, int) else finite(value)
 
 
 def figures_of(learner: Learner, training: Training, task_name: str) -> Figures:
@@ -246,7 +252,7 @@ def figures_of(learner: Learner, training: Training, task_name: str) -> Figures:
     }
 
 
-def describe(figures: Figures, own: Figures) -> str:
+def describe(figures: Figures, own: Figures, measure: Measure) -> str:
     """Both, to be read."""
     lines = [
         f"{figures['task']} {figures['preset']}, {figures['network']}, seed {figures['seed']}, "
@@ -264,9 +270,18 @@ def describe(figures: Figures, own: Figures) -> str:
             f"average reward: {figures['average_reward']:.6g} a step, "
             f"over the last {figures['late_steps']:,}"
         )
-    bound = " or more, no episode ended" if own[IS_LOWER_BOUND] else ""
+    besides = measure.keys[1:]
     for name, value in own.items():
-        if name not in figures and name != IS_LOWER_BOUND:
-            told = "not measured" if value is None else f"{value:.6g}{bound}"
-            lines.append(f"{name.replace('_', ' ')}: {told}")
+        if name in figures or name in besides:
+            continue
+        told = "not measured" if value is None else f"{value:.6g}"
+        if name == measure.key and besides and own.get(besides[0]) is not None:
+            told = _estimate(own, measure)
+        lines.append(f"{name.replace('_', ' ')}: {told}")
     return "\n".join(lines)
+
+
+def _estimate(own: Figures, measure: Measure) -> str:
+    """A mean time to an event, with the number of events and its interval."""
+    value, count, low, high = (math.inf if own[k] is None else own[k] for k in measure.keys)
+    return events.told(measure, (value, count, low, high), lambda time: f"{time:.6g}")

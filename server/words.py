@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,13 +10,14 @@ from numpy.typing import NDArray
 
 from hebbviz.moments import Frame
 from hebbviz.task import Measure, Score, Tally, Task
-from server import palette
+from server import events, palette
 from server.history import Curve
 from server.look import Looks
 from server.picture import Other, Past, Picture
 from server.player import Check
 from server.recording.status import Status
 from server.recording.thinning import words as size_of
+from server.spread import middle_of
 from server.stuck import ENOUGH_STEPS, Sign, sign
 from server.trail import moved
 
@@ -71,9 +73,29 @@ def memory(beta: float, dt: float | None) -> str:
 
 
 def score(value: Score, measure: Measure) -> str:
-    at_least = "≥ " if value.is_bound else ""
-    text = duration(value.value) if measure.unit == "s" else f"{value.value:.3g} {measure.unit}"
-    return f"{at_least}{text}".strip()
+    """A measure over a stretch; a mean time to an event with how many came, and its interval."""
+    if not measure.event:
+        return amount(value.value, measure)
+    return estimate((value.value, value.events or 0, *value.interval), measure)
+
+
+def estimate(told: tuple[float, float, float, float], measure: Measure) -> str:
+    """The same from value, events, and both ends of the interval."""
+    return events.told(measure, told, lambda time: amount(time, measure))
+
+
+def middle(values: Array, measure: Measure) -> str:
+    """The middle of lanes (lanes,), and in how many nothing was counted."""
+    found = middle_of(values, measure)
+    without = events.lanes_without(measure, values)
+    if math.isinf(found):
+        return f"unknown, {without}"
+    return f"{amount(found, measure)}{without and f', {without}'}"
+
+
+def amount(value: float, measure: Measure) -> str:
+    """A number with the measure's unit."""
+    return duration(value) if measure.unit == "s" else f"{value:.3g} {measure.unit}".strip()
 
 
 def shown(picture: Picture) -> str:

@@ -40,7 +40,8 @@ class Pendulum(Task):
     hidden = (4,)
     dt = PLANT.time_step
     weight_range = 0.05
-    measure = Measure("time to fall", "mean_time_to_fall_s", "s", span=(0.1, 1e4), logarithmic=True)
+    measure = Measure("time to fall", "mean_time_to_fall_s", "s", span=(0.1, 1e4), logarithmic=True,
+                      event="fall")  # fmt: skip
     presets = {
         "quick": Preset(
             0.98, 1e-2,
@@ -118,9 +119,8 @@ class Pendulum(Task):
         return bool(fallen(state))
 
     def score(self, tally: Tally) -> Score:
-        """Mean time to fall in s, the falling step counted; without a fall, a lower bound."""
-        seconds = tally.steps * PLANT.time_step
-        return Score(seconds / max(1.0, tally.ended), is_bound=tally.ended == 0)
+        """Mean time to fall in s, the falling step counted."""
+        return Score.per_event(tally.steps * PLANT.time_step, tally.ended)
 
     def pose(self, state: Array) -> Pose:
         position, rotation, scale = self.poses(state[None])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import http.client
 import json
+import re
 import signal
 import socket
 import subprocess
@@ -20,6 +21,7 @@ from raw_client import RawClient, wait_until
 
 from hebbviz import files
 from hebbviz.learner import Learner
+from hebbviz.poisson import time_to_event
 from server import app, authority, serve
 from server.cli import main
 from sims.loading import make_task
@@ -399,7 +401,10 @@ def test_time_to_fall_and_reward_agree(capsys: pytest.CaptureFixture[str]) -> No
     dt = make_task("pendulum").dt
     assert dt is not None
     assert figures["mean_time_to_fall_s"] == pytest.approx(-dt / figures["average_reward"])
-    assert figures["is_lower_bound"] is False
+    late = figures["late_steps"] * dt
+    assert figures["mean_time_to_fall_s"] == pytest.approx(late / figures["falls"])
+    ends = figures["mean_time_to_fall_s_low"], figures["mean_time_to_fall_s_high"]
+    assert ends == pytest.approx(time_to_event(late, figures["falls"]))
 
 
 @pytest.mark.parametrize("steps", [0, 1, 4])
@@ -408,7 +413,25 @@ def test_few_steps(steps: int, capsys: pytest.CaptureFixture[str]) -> None:
     assert (figures["steps"], figures["total_steps"]) == (steps, steps)
     assert figures["late_steps"] == (1 if steps else 0)
     assert (figures["average_reward"] is None) == (steps == 0)
-    assert (figures["mean_time_to_fall_s"] is None) == (steps == 0)
+    assert figures["mean_time_to_fall_s"] is None, "nothing fell"
+    assert figures["falls"] == (0 if steps else None)
+    assert figures["mean_time_to_fall_s_high"] is None
+    low = figures["mean_time_to_fall_s_low"]
+    assert low == (pytest.approx(0.02 / 2.9957, rel=1e-4) if steps else None)
+
+
+def test_no_fall_and_one_are_told_apart(capsys: pytest.CaptureFixture[str]) -> None:
+    """The step of the first fall is the last of five that count, or comes after them."""
+    learner = Learner(make_task("pendulum"), seed=7)
+    falls = np.flatnonzero(learner.advance(500).ended)
+    told = []
+    for steps in (falls[0], falls[0] + 1):
+        assert main(["train", "--task", "pendulum", "--seed", "7", "--steps", str(steps)]) == 0
+        told.append(capsys.readouterr().out.splitlines()[-1])
+    assert re.fullmatch(r"mean time to fall s: over 0\.\d+ \(no fall, 95 %\)", told[0])
+    assert re.fullmatch(
+        r"mean time to fall s: 0\.\d+ \(1 fall; 95 %: 0\.\d+ to \d+\.\d+\)", told[1]
+    )
 
 
 def test_train_for_the_eye(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

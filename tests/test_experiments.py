@@ -84,9 +84,8 @@ def test_curves_are_those_of_learners_alone(plan):
     for name in ("reward", "broadcast", "ended"):
         expected = [[getattr(tally, name) for tally in lane] for lane in rows]
         assert np.array_equal(getattr(curves, name), expected), name
-    scores, bounds = curves.scores(plan.make_task())
+    scores = curves.scores(plan.make_task())[plan.make_task().measure.key]
     assert scores[1, 2] == plan.make_task().score(rows[1][2]).value
-    assert not bounds.any()
     assert curves.last(0.4)[2].reward == curves.reward[2, -2:].sum()
 
 

@@ -7,7 +7,6 @@ import pytest
 
 from hebbviz.finite_world import NOTHING
 from hebbviz.learner import Learner
-from hebbviz.task import IS_LOWER_BOUND
 from sims.filtering import BASELINE, COLUMNS, NOISE, SWITCH, Filtering, bayes_filter
 from sims.loading import make_task
 
@@ -148,8 +147,7 @@ def test_the_figures_stand_side_by_side():
     learner.advance(1000)
     results, frozen = task.results(learner, learner.tally()), task.evaluate(learner)
     assert set(results) == {"right", "baseline", "best"}
-    assert set(frozen) == {"right", "baseline", "best", IS_LOWER_BOUND}
+    assert set(frozen) == {"right", "baseline", "best"}
     assert results["baseline"] < results["best"]
     assert frozen["baseline"] < frozen["best"]
-    assert not frozen[IS_LOWER_BOUND]
     assert set(task.frozen_figures) < set(frozen)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from test_worker import bench
 
 from hebbviz.learner import Learner
 from hebbviz.moments import join
+from server import learning
 from server.commands import (
     BackToNow,
     Change,
@@ -34,14 +37,14 @@ from server.commands import (
     WatchLane,
 )
 from server.fork import BETA, GAMMA, KINDS, Difference, Fork
-from server.history import Curves, Totals
+from server.history import Curve, Curves, Totals
 from server.making import MOST_SHOWN_LANES
 from server.player import Player
 from server.recording.reader import open_recording
 from server.recording.recorder import Recorder
 from server.recording.targets import FileTarget
 from server.run import Run
-from server.spread import Scores, Spread, middle_is_bound
+from server.spread import Scores, Spread, quantiles
 from server.watch import Watch
 from sims.loading import make_task
 
@@ -151,7 +154,7 @@ def test_mean_and_band_are_those_of_the_runs_alone(many: Run, alone: list[Run]) 
     if task.measure.logarithmic:
         want = np.quantile(scores, (0.25, 0.5, 0.75), axis=0)
     else:
-        mean, deviation = scores.mean(axis=0), scores.std(axis=0)
+        mean, deviation = scores.mean(axis=0), scores.std(axis=0, ddof=1)
         want = np.array([mean - deviation, mean, mean + deviation])
     np.testing.assert_allclose([spread.low, spread.middle, spread.high], want, rtol=1e-12)
 
@@ -160,22 +163,38 @@ def test_of_one_lane_the_band_is_its_curve() -> None:
     values = np.array([[3.0], [5.0]])
     measure = make_task("sonar").measure
     for kind in (measure, replace(measure, logarithmic=True, span=(1.0, 10.0))):
-        spread = Spread.of(np.array([1.0, 2.0]), values, values > 3.0, kind)
+        spread = Spread.of(np.array([1.0, 2.0]), values, kind)
         for curve in (spread.low, spread.middle, spread.high):
             np.testing.assert_array_equal(curve, values[:, 0])
-        assert spread.is_bound.tolist() == [False, True]
 
 
-@given(st.lists(st.tuples(st.integers(0, 5), st.booleans(), st.integers(0, 3)), min_size=1))
-@example([(1, True, 0), (2, False, 0), (3, False, 0)])
-@example([(1, False, 0), (2, False, 0), (3, True, 0)])
-def test_a_middle_is_a_bound_if_the_truth_can_be_more(lanes: list[tuple[int, bool, int]]) -> None:
-    """A median of 1, 2, 3: it can if the one at 1 is a bound, and cannot if the one at 3 is."""
-    values, is_bound, more = (np.array(column) for column in zip(*lanes, strict=True))
-    for middle in (np.median, np.mean):
-        told = middle_is_bound(middle, values.astype(float), is_bound)
-        assert told == (middle(values + 1e6 * is_bound) > middle(values))
-        assert told or middle(values + more * is_bound) == middle(values)
+@given(st.lists(st.integers(0, 5), min_size=1), st.integers(0, 5))
+@example([1, 2, 3, 4], 0)
+@example([1, 2, 3, 4], 2)
+def test_lanes_without_an_event_are_longer_than_all_others(seen: list[int], without: int) -> None:
+    """Quantiles are those of lanes that had their event at last, as far as these do not count."""
+    values = np.array([*seen, *[np.inf] * without])
+    shares = (0.25, 0.5, 0.75)
+    late = [np.quantile([*seen, *[after] * without], shares) for after in (1e3, 2e3)]
+    want = np.where(late[0] == late[1], late[0], np.inf)
+    np.testing.assert_allclose(quantiles(values, shares), want, rtol=1e-12)
+
+
+def test_a_dot_of_the_curve_is_what_no_fall_tells() -> None:
+    """Of windows of 10 s: without a fall there is no estimate, and the mean is over 3.3 s."""
+    task = make_task("pendulum")
+    end, falls = 500.0 * np.arange(1, 5), np.array([2.0, 0.0, 1.0, 0.0])
+    curve = Curve(500, end, np.full(4, 500.0), -falls, -falls, falls)
+    x, over = learning._dots(task, curve, None)
+    np.testing.assert_array_equal(x, end[[1, 3]])
+    np.testing.assert_allclose(over, 10.0 / -np.log(0.05))
+    picture: Any = SimpleNamespace(task=task)
+    np.testing.assert_allclose(learning._scores(picture, curve)[1], [5.0, np.nan, 10.0, np.nan])
+    lanes = Spread.of(end, np.array([[5.0, np.inf, np.inf]] * 4), task.measure)
+    np.testing.assert_array_equal(learning._dots(task, curve, lanes)[0], end)
+    (_, middle), ((_, low), (_, high)) = learning._drawn(lanes, task.measure)
+    assert np.isnan(middle).all()
+    assert (high == task.measure.span[1]).all() and (low == high).all()
 
 
 def test_scores_that_are_known_are_not_made_again_and_stay_true() -> None:

@@ -1,5 +1,6 @@
 """The pendulum as a task: what is seen of it, what is paid, and that it is learnt."""
 
+import math
 import re
 
 import numpy as np
@@ -96,10 +97,12 @@ def test_the_papers_parameters_are_there():
 
 def test_the_score_is_the_mean_time_to_fall():
     task = Pendulum()
-    score = task.score(Tally(100, -4.0, -4.0, 4.0))
-    assert (score.value, score.is_bound) == (pytest.approx(0.5), False)
-    score = task.score(Tally(100, 0.0, 0.0, 0.0))
-    assert (score.value, score.is_bound) == (pytest.approx(2.0), True)
+    some, one, none = (task.score(Tally(100, -k, -k, k)) for k in (4.0, 1.0, 0.0))
+    assert (some.value, some.events) == (pytest.approx(0.5), 4)
+    assert (one.value, one.events) == (pytest.approx(2.0), 1)
+    assert (none.value, none.events) == (math.inf, 0), "another number than after one fall"
+    assert one.interval == (pytest.approx(2.0 / 5.5716, rel=1e-4), pytest.approx(79.0, rel=1e-3))
+    assert none.interval == (pytest.approx(2.0 / 2.9957, rel=1e-4), math.inf)
 
 
 def test_the_scene_is_the_state():

@@ -227,7 +227,7 @@ def test_the_eligibility_term_has_mean_zero(activity):
     for _ in range(3):
         learner.skip(1)
         term = learner.traces
-        spread = term.std(axis=1) / math.sqrt(lanes)
+        spread = term.std(axis=1, ddof=1) / math.sqrt(lanes)
         assert np.all(np.abs(term.mean(axis=1)) <= 4.0 * spread + 1e-15)
         assert np.any(spread > 1e-3)
 

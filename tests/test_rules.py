@@ -173,7 +173,7 @@ def estimate(rule, task, *, lanes=64, steps=20_000):
     before = learner.weights
     learner.skip(steps)
     mean = (learner.weights - before) / (gamma * steps)
-    return mean.mean(axis=1), mean.std(axis=1) / math.sqrt(lanes)
+    return mean.mean(axis=1), mean.std(axis=1, ddof=1) / math.sqrt(lanes)
 
 
 def test_with_the_baseline_learning_has_the_same_direction_and_less_noise():
@@ -211,7 +211,7 @@ def test_the_yoked_learn_nothing_where_the_rule_learns():
     for rule in (Paper(), Baseline()):
         assert np.median(late_reward(rule, Lamps(), steps=steps, lanes=8)) > 0.7
     yoked = late_reward(Yoked(), Lamps(), steps=steps, lanes=64)
-    assert abs(yoked.mean() - 0.5) < 4.0 * yoked.std() / math.sqrt(64)
+    assert abs(yoked.mean() - 0.5) < 4.0 * yoked.std(ddof=1) / math.sqrt(64)
     assert yoked.mean() < 0.56
 
 

@@ -18,7 +18,7 @@ from raw_client import wait_until
 
 from hebbviz import __version__
 from hebbviz.learner import Learner
-from hebbviz.task import Measure
+from hebbviz.task import Measure, Tally
 from server.cli import main
 from server.experiments import workers
 from server.figures.sheet import Origin, _made_by
@@ -29,6 +29,7 @@ from server.sweep.command import make
 from server.sweep.grid import Sweep, parse_betas, parse_gammas
 from server.sweep.outcome import Outcome
 from sims.loading import make_task
+from sims.pendulum import Pendulum
 
 ROOT = Path(__file__).parents[1]
 SWEEP = Sweep(
@@ -216,8 +217,8 @@ def test_where_nothing_learns_none_is_best_and_it_is_said_before(tmp_path, capsy
 
 
 def points_of(*rewards):
-    plan = SWEEP.untrained
-    return [Outcome(plan, np.array([r]), np.array([False]), np.array([r])) for r in rewards]
+    measure = Measure("m", "m")
+    return [Outcome(SWEEP.untrained, measure, {"m": np.array([r])}, np.array([r])) for r in rewards]
 
 
 def test_all_that_are_rewarded_most_are_framed_and_none_that_fails():
@@ -244,6 +245,21 @@ def test_cells_of_a_map_have_the_same_decimals(values, written):
         ),
     ):
         assert [heat_map._digits(measure, points)(v) for v in values] == expected
+
+
+def test_a_cell_tells_no_fall_in_half_of_the_lanes_from_one():
+    """Of lanes of 4 000 s each: what the median is over is no median."""
+    task, cells = Pendulum(), []
+    for falls in ((1, 1, 6), (0, 0, 6), (0, 6, 6)):
+        scores = [task.measure.figures(task.score(Tally(200_000, -k, -k, k))) for k in falls]
+        figures = {key: np.array([s[key] for s in scores]) for key in task.measure.keys}
+        cells.append(Outcome(SWEEP.untrained, task.measure, figures, -np.array(falls)))
+    write = heat_map._digits(task.measure, cells)
+    assert [heat_map._written(c, write) for c in cells] == ["4.00e+03", "> 1.34e+03", "667"]
+    told = [heat_map.about(c, cells[-1]) for c in cells]
+    assert [t["median"] for t in told] == [4000.0, None, pytest.approx(666.7, abs=0.1)]
+    assert [t["upper_quartile"] for t in told] == [4000.0, None, None]
+    assert [t["lanes_without_fall"] for t in told] == [0, 2, 1]
 
 
 def test_the_whole_command_is_in_the_picture():

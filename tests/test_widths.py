@@ -119,7 +119,7 @@ def test_float32_and_float64_learn_alike():
         learner.skip(187_000)
         tallies = learner.skip_tallied(2 * 187_000)
         errors.append(np.array([1.0 - t.average_reward for t in tallies]))
-    spread = np.sqrt(sum(e.var() / len(e) for e in errors))
+    spread = np.sqrt(sum(e.var(ddof=1) / len(e) for e in errors))
     assert errors[0].mean() < 0.4
     assert abs(errors[0].mean() - errors[1].mean()) < 4.0 * spread
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import threading
 import time
 from typing import TYPE_CHECKING, Any
@@ -586,18 +587,29 @@ def test_an_evaluation_that_fails_is_a_notice() -> None:
         b.until(lambda _: len(b.notices) == 2)
 
 
-def test_a_frozen_copy_that_never_fell_is_said_to_last_at_least_as_long() -> None:
+def test_a_frozen_copy_says_how_often_it_fell_and_how_sure_that_is() -> None:
+    """One that never falls in 2 000 s lasts over 2 000/2.996 s, not 2 000 s."""
+
     class Held(Pendulum):
         def transition(self, state: Any, action: Any, draws: Any) -> Any:
             return state
 
-    for task, at_least in (Held(), True), (Pendulum(), False):
+    for task, held in (Held(), True), (Pendulum(), False):
         run = Run(Learner(task, lanes=2), lambda *_, task=task: type(task)())
         with bench(run, Pause(paused=True)) as b:
             b.send(Evaluate())
             words = evaluated(b.until(lambda p: p.evaluations, 60.0))
-        assert words.count("≥ 33.3 min") == (2 if at_least else 0), words
-        assert ("≥" in words) == at_least
+        if held:
+            assert "time to fall **over 11.1 min (no fall, 95 %)**" in words
+            assert "(median unknown, no fall in 2 of 2 lanes)" in words
+        else:
+            said = re.search(
+                r"\*\*([\d.]+) s \(([\d,]+) falls; 95 %: ([\d.]+) s to ([\d.]+) s\)", words
+            )
+            assert said is not None, words
+            value, falls, low, high = (float(x.replace(",", "")) for x in said.groups())
+            assert value == pytest.approx(2000.0 / falls, rel=0.01)
+            assert low < value < high < 1.1 * low
 
 
 def test_undoing_a_switch_leaves_the_speed_that_was_chosen() -> None:

@@ -5,11 +5,11 @@
 goes on from there. What comes of it are `Curves`.
 """
 
-from server.experiments.plan import Curves, Plan, options_of
+from server.experiments.plan import Curves, Plan, figures_of, options_of
 from server.experiments.run import Done, Interrupted, finish, run, run_all
 from server.experiments.workers import LostWorkers, Workers, open_workers
 
 __all__ = [
-    "Curves", "Done", "Interrupted", "LostWorkers", "Plan", "Workers", "finish", "open_workers",
-    "options_of", "run", "run_all",
+    "Curves", "Done", "Interrupted", "LostWorkers", "Plan", "Workers", "figures_of", "finish",
+    "open_workers", "options_of", "run", "run_all",
 ]  # fmt: skip

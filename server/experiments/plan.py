@@ -182,22 +182,23 @@ class Curves:
         )
         return Tally(self.steps * len(reward), reward.sum(), broadcast.sum(), ended.sum())
 
-    def scores(self, task: Task) -> tuple[Array, NDArray[np.bool_]]:
-        """The task's measure of every segment, (lanes, segments), and where it is a bound only."""
+    def scores(self, task: Task) -> dict[str, Array]:
+        """The figures of the task's measure in every segment, each (lanes, segments)."""
         lanes, segments = self.reward.shape
-        found = [
-            [task.score(self.tally(lane, slice(k, k + 1))) for k in range(segments)]
-            for lane in range(lanes)
-        ]
-        return (
-            np.array([[s.value for s in lane] for lane in found]),
-            np.array([[s.is_bound for s in lane] for lane in found], dtype=np.bool_),
-        )
+        return figures_of(task, [
+            [self.tally(lane, slice(k, k + 1)) for k in range(segments)] for lane in range(lanes)
+        ])  # fmt: skip
 
     def last(self, part: float = 0.2) -> list[Tally]:
         """Totals of each lane over the last part of its segments, at least one."""
         count = max(1, round(part * len(self.end)))
         return [self.tally(lane, slice(-count, None)) for lane in range(len(self.reward))]
+
+
+def figures_of(task: Task, tallies: Sequence[Sequence[Tally]]) -> dict[str, Array]:
+    """The figures of the task's measure, each of the shape of `tallies`, (lanes, n)."""
+    found = [[task.measure.figures(task.score(tally)) for tally in lane] for lane in tallies]
+    return {key: np.array([[f[key] for f in lane] for lane in found]) for key in task.measure.keys}
 
 
 def joined(curves: Sequence[Curves], lanes: int) -> Curves:

@@ -10,6 +10,8 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from hebbviz.rules.paper import PAPER
+from server.experiments import figures_of
+from server.spread import median
 from server.terminal import finite
 
 if TYPE_CHECKING:
@@ -76,24 +78,41 @@ def lane_columns(name: str, values: NDArray[Any]) -> dict[str, list[Any]]:
 
 
 def course_columns(measure: Measure, course: Course) -> dict[str, list[Any]]:
-    """The median and each lane's values, and where those are a lower bound only."""
-    return {
-        f"{measure.key}_median": course.median.tolist(),
-        **lane_columns(measure.key, course.values),
-        **lane_columns("is_lower_bound", course.is_bound.astype(int)),
-    }
+    """The median and each lane's figures. A time to an event that was not seen is infinite."""
+    columns = {f"{measure.key}_median": course.median.tolist()}
+    for key in measure.keys:
+        columns |= lane_columns(key, course.figures[key])
+    return columns
 
 
 def draw_course(axes: Axes, course: Course, step: float, shade: Color) -> None:
-    """Each run faint, the median bold; a dot where it is a lower bound.
+    """Each run faint, the median bold; a triangle where it is not known, a small one where it is
+    not of some run.
 
     `step` is the time of a step on the horizontal axis.
     """
-    times = course.steps * step
-    axes.plot(times, course.values.T, color=shade, lw=0.7, alpha=0.35)
-    axes.plot(times, course.median, color=shade, lw=2.2)
-    bound = course.median_is_bound
-    axes.plot(times[bound], course.median[bound], "o", color=shade, ms=3.5, mfc="white")
+    times = np.asarray(course.steps * step, dtype=np.float64)
+    for values in course.values:
+        axes.plot(*_known(times, values), color=shade, lw=0.7, alpha=0.35)
+    axes.plot(*_known(times, course.median), color=shade, lw=2.2)
+    some, half = np.isfinite(course.over), np.isinf(course.median)
+    axes.plot(times[some], course.over[some], "^", color=shade, ms=2.5, mew=0, alpha=0.6)
+    axes.plot(times[half], course.over[half], "^", color=shade, ms=5.0, mfc="white")
+
+
+def _known(times: Array, values: Array) -> tuple[Array, Array]:
+    known = np.isfinite(values)
+    return times[known], values[known]
+
+
+def triangles(course: Course) -> str:
+    """What the triangles of `draw_course` are, in a sentence; nothing if there are none."""
+    event = course.measure.event
+    return (
+        f"△: no {event} in half of the runs or more, small ▲: in some; their mean time to {event} "
+        "is over this, with 95 % confidence."
+        if np.isfinite(course.over).any() else ""
+    )  # fmt: skip
 
 
 def set_measure_axis(axes: Axes, measure: Measure) -> None:
@@ -136,12 +155,15 @@ def runs(lanes: int) -> str:
 
 def outcome(task: Task, course: Course, curves: Curves) -> dict[str, Any]:
     """The measure over the last fifth of all steps, as `hebbviz train` has it, and its median;
-    and the median at the end of the curve, over the last stretch that is drawn.
+    and the median at the end of the curve, over the last stretch that is drawn. None is infinite.
     """
-    key, last = task.measure.key, [task.score(tally) for tally in curves.last()]
+    key = task.measure.key
+    last = {k: v[:, 0] for k, v in figures_of(task, [[t] for t in curves.last()]).items()}
     return {
-        key: [finite(s.value) for s in last],
-        f"{key}_median": finite(np.median([s.value for s in last])),
+        **{
+            k: [v if isinstance(v, int) else finite(v) for v in values.tolist()]
+            for k, values in last.items()
+        },
+        f"{key}_median": finite(median(last[key])),
         f"{key}_median_at_end": finite(course.median[-1]),
-        "is_lower_bound": [bool(s.is_bound) for s in last],
     }

@@ -34,6 +34,7 @@ from server.figures.sheet import (
     look,
     mark_end,
 )
+from server.spread import deviation_of
 from sims.lamps import Lamps, small_example
 
 if TYPE_CHECKING:
@@ -178,8 +179,8 @@ def _table(courses: list[_Course]) -> Table:
     lanes = len(courses[0].angle)
     columns |= {f"angle_{k}": [] for k in range(lanes)}
     for c in courses:
-        rows = zip(c.steps, c.angle.mean(axis=0), c.angle.std(axis=0), c.of_all, c.expected,
-                   c.angle.T, strict=True)  # fmt: skip
+        mean, deviation = c.angle.mean(axis=0), deviation_of(c.angle, axis=0)
+        rows = zip(c.steps, mean, deviation, c.of_all, c.expected, c.angle.T, strict=True)
         for steps, mean, sd, of_all, expected, each in rows:
             row = (c.beta, int(steps), mean, sd, of_all, expected, c.bias, *each)
             for column, value in zip(columns.values(), row, strict=True):
@@ -193,7 +194,7 @@ def _draw(courses: list[_Course], lanes: int) -> Figure:
     last = courses[0].steps[-1]
     stands = 10.0 ** apart(np.log10([max(c.of_all[-1], _LOW) for c in courses]), _LABEL)
     for c, shade, stand in zip(courses, _COLORS, stands, strict=True):
-        mean, sd = c.angle.mean(axis=0), c.angle.std(axis=0)
+        mean, sd = c.angle.mean(axis=0), deviation_of(c.angle, axis=0)
         axes.fill_between(c.steps, np.maximum(mean - sd, _LOW), mean + sd, color=shade, alpha=0.18,
                           lw=0)  # fmt: skip
         axes.plot(c.steps, c.expected, color=dark(shade), lw=0.9, ls=(0, (4, 2)), zorder=4)

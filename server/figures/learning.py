@@ -18,6 +18,7 @@ from server.figures.curves import (
     runs,
     set_measure_axis,
     setting,
+    triangles,
     words_of,
 )
 from server.figures.length import Time, cut, steps_of, time_of
@@ -38,7 +39,6 @@ _GROWING, _PER_DECADE = 500, 12
 """Segments that stretches of growing length are made of, and how many of these a decade has."""
 _SHOWN, _QUICK_SHOWN = 1000, 100
 """The last step over the first, on an axis of time that is logarithmic."""
-_BOUND = "in half of the runs or more nothing ended in that block"
 _GROW = "Blocks of time, a point each, are equally long on the axis, so that they grow along it."
 _TITLE_LETTERS = 76
 """In a line of the title; what a task says of itself may be longer."""
@@ -69,9 +69,8 @@ def make(order: Order, work: Work) -> Sheet:
         figure = _draw(plan, task, time, shown)
     quick = f"quick: {runs(plan.lanes)} of {plan.steps:,} steps in place of 16 of 1,000,000\n"
     about = f"{runs(plan.lanes)}, {words_of(plan)}\n{preset_note(plan)}"
-    notes = (quick if order.quick else "") + about
-    if task.measure.logarithmic:
-        notes += f"\n{_GROW}"
+    more = [_GROW if task.measure.logarithmic else "", triangles(shown)]
+    notes = (quick if order.quick else "") + "\n".join(filter(None, (about, *more)))
     return Sheet(
         figure, _table(task, time, shown), numbers | outcome(task, shown, found[-1]), notes
     )
@@ -96,7 +95,5 @@ def _draw(plan: Plan, task: Task, time: Time, course: Course) -> Figure:
     elif time.steps == 1.0 or time.key == "epoch":
         count_axis(axes.xaxis)
     words = f"thin: each of {runs(plan.lanes)}; bold: their median" if plan.lanes > 1 else "1 run"
-    if course.median_is_bound.any():
-        words += f"; ○ at least this: {_BOUND}"
     head(axes, fill(f"{task.name}: {task.summary or 'learning'}", _TITLE_LETTERS), words)
     return figure

@@ -6,16 +6,16 @@ time: the same lanes, hence the same runs, for 1 % more work. Where one ends the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.task import Tally, Task
-from server.experiments import Curves, Plan
-from server.spread import middle_is_bound
+from hebbviz.task import Measure, Tally, Task
+from server.experiments import Curves, Plan, figures_of
+from server.spread import median
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -46,24 +46,34 @@ def spaced(steps: Whole, per_decade: int) -> Whole:
 
 @dataclass(frozen=True)
 class Course:
-    """A task's measure over time: `values` (lanes, n) of the stretches that end at `steps` (n,).
-
-    `is_bound` (lanes, n): the truth is this or more.
+    """A task's measure over time: `figures`, each (lanes, n), by the keys of the `measure`, of the
+    stretches that end at `steps` (n,).
     """
 
+    measure: Measure
     steps: Whole
-    values: Array
-    is_bound: NDArray[np.bool_]
+    figures: Mapping[str, Array]
+
+    @property
+    def values(self) -> Array:
+        """The measure itself, (lanes, n); infinite where its event was not seen."""
+        return self.figures[self.measure.key]
 
     @property
     def median(self) -> Array:
-        """Over the lanes, (n,)."""
-        return np.median(self.values, axis=0)
+        """Over the lanes, (n,); infinite where the event was not seen in half of them."""
+        return median(self.values.T)
 
     @property
-    def median_is_bound(self) -> NDArray[np.bool_]:
-        """Where the true median is this or more, (n,)."""
-        return middle_is_bound(np.median, self.values.T, self.is_bound.T)
+    def over(self) -> Array:
+        """What a time to an event is over, with 95 % confidence, where it was not seen in
+        some lane, (n,); NaN elsewhere.
+        """
+        if not self.measure.event:
+            return np.full(len(self.steps), np.nan)
+        lows = np.where(np.isinf(self.values), self.figures[self.measure.ends[0]], np.nan)
+        over: Array = np.fmax.reduce(lows, axis=0)
+        return over
 
 
 def course(task: Task, curves: Sequence[Curves], *, first: int, per_decade: int) -> Course:
@@ -83,20 +93,15 @@ def course(task: Task, curves: Sequence[Curves], *, first: int, per_decade: int)
 
 def even_course(task: Task, curves: Curves) -> Course:
     """The measure over the segments as they are."""
-    values, is_bound = curves.scores(task)
-    return Course(curves.end, values, is_bound)
+    return Course(task.measure, curves.end, curves.scores(task))
 
 
 def measured(task: Task, steps: Whole, totals: Array) -> Course:
     """The measure between one of `steps` (n,) and the next, from totals (3, lanes, n)."""
     sums = np.diff(totals, axis=2, prepend=0.0)
     lengths = np.diff(steps, prepend=0)
-    found = [
-        [task.score(Tally(int(n), *map(float, s))) for n, s in zip(lengths, lane.T, strict=True)]
+    tallies = [
+        [Tally(int(n), *map(float, s)) for n, s in zip(lengths, lane.T, strict=True)]
         for lane in sums.transpose(1, 0, 2)
     ]
-    return Course(
-        steps,
-        np.array([[s.value for s in lane] for lane in found]),
-        np.array([[s.is_bound for s in lane] for lane in found], dtype=np.bool_),
-    )
+    return Course(task.measure, steps, figures_of(task, tallies))

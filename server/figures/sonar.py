@@ -18,6 +18,8 @@ from server.experiments import Curves, Plan
 from server.figures.curves import count_axis, lane_columns, preset_note, runs, setting, words_of
 from server.figures.length import cut, steps_of
 from server.figures.sheet import Sheet, Table, blank, color, head, look, mark_end
+from server.spread import deviation_of
+from server.terminal import finite
 from sims.sonar import HOLD, Sonar
 
 if TYPE_CHECKING:
@@ -89,7 +91,7 @@ def _numbers(plan: Plan, curves: Curves, task: Sonar) -> dict[str, Any]:
     for name in sorted(_SHOWN, reverse=True):
         last = curves.figures[name][:, -1]
         numbers |= {
-            name: float(last.mean()), f"{name}_sd": float(last.std()),
+            name: float(last.mean()), f"{name}_sd": finite(deviation_of(last)),
             f"{name}_worst": float(last.max()),
             f"{name}_back_propagation": BACK_PROPAGATION[name],
         }  # fmt: skip
@@ -109,7 +111,7 @@ def _table(curves: Curves, task: Sonar) -> Table:
     for name in _SHOWN:
         errors = curves.figures[name]
         columns |= {f"{name}_mean": errors.mean(axis=0).tolist(),
-                    f"{name}_sd": errors.std(axis=0).tolist()}  # fmt: skip
+                    f"{name}_sd": deviation_of(errors, axis=0).tolist()}  # fmt: skip
     for name in _SHOWN:
         columns |= lane_columns(name, curves.figures[name])
     return columns
@@ -125,11 +127,12 @@ def _draw(plan: Plan, curves: Curves, task: Sonar) -> Figure:
     stands = _stand({name: 100.0 * float(curves.figures[name][:, -1].mean()) for name in _SHOWN})
     for name, (words, shade) in _SHOWN.items():
         percent = 100.0 * curves.figures[name]
-        mean, sd = percent.mean(axis=0), percent.std(axis=0)
+        mean, sd = percent.mean(axis=0), deviation_of(percent, axis=0)
         axes.fill_between(epochs, np.maximum(mean - sd, 0.0), mean + sd, color=shade, alpha=0.18,
                           lw=0)  # fmt: skip
         axes.plot(epochs, mean, color=shade)
-        said = f"{words}\n{mean[-1]:.1f} ± {sd[-1]:.1f} %"
+        spread = f" ± {sd[-1]:.1f}" if plan.lanes > 1 else ""
+        said = f"{words}\n{mean[-1]:.1f}{spread} %"
         mark_end(axes, epochs[-1], mean[-1], said, shade, stands=stands[name])
         axes.axhline(100.0 * BACK_PROPAGATION[name], color=shade, lw=1.0, ls=(0, (1, 1.6)))
     axes.set(

@@ -51,10 +51,25 @@ def sheet(
     medians = "The last fifth" if sweep.lanes == 1 else "Medians, over the last fifth,"
     note = (
         f"{medians} of {runs(sweep.lanes)} of {untrained.plan.steps:,} steps; untrained "
-        f"{_digits(task.measure, [untrained])(untrained.median)}; fail: rewarded no more than the "
-        f"luckiest untrained one; {'framed: rewarded most.' if best else 'none is rewarded more.'}"
+        f"{_written(untrained, _digits(task.measure, [untrained]))}; fail: rewarded no more than "
+        "the luckiest untrained one; "
+        f"{'framed: rewarded most.' if best else 'none is rewarded more.'}"
     )
+    if any(math.isinf(p.median) for p in (*points, untrained)):
+        note += f"\n{_over(task.measure)}"
     return Sheet(figure, _table(task, points, untrained, more), numbers, note)
+
+
+def _over(measure: Measure) -> str:
+    event = measure.event
+    return (
+        f">: half of the runs or more had no {event} in that time T; their mean time to {event} is "
+        "over T/3.0, with 95 % confidence."
+    )
+
+
+def _written(point: Outcome, digits: Callable[[float], str]) -> str:
+    return f"{'> ' if math.isinf(point.median) else ''}{digits(point.drawn)}"
 
 
 def _best(points: Sequence[Outcome], untrained: Outcome) -> list[int]:
@@ -74,7 +89,7 @@ def _digits(measure: Measure, points: Sequence[Outcome]) -> Callable[[float], st
     """How medians are written: three digits of the largest, and of all others as many decimals; on
     a logarithmic scale three digits of each.
     """
-    most = max(abs(p.median) for p in points)
+    most = max(abs(p.drawn) for p in points)
     decimals = 2 - math.floor(math.log10(most)) if 0.0 < most < math.inf else 2
 
     def write(value: float) -> str:
@@ -88,12 +103,13 @@ def _digits(measure: Measure, points: Sequence[Outcome]) -> Callable[[float], st
 
 def about(point: Outcome, untrained: Outcome) -> dict[str, Any]:
     """A point in numbers."""
-    low, high = np.quantile(point.values, (0.25, 0.75))
+    low, high = point.quartiles
+    event = point.measure.event
     return {
         "beta": point.plan.beta, "gamma": point.plan.gamma, "median": finite(point.median),
-        "is_lower_bound": point.median_is_bound, "lower_quartile": finite(low),
-        "upper_quartile": finite(high), "failing": point.failing(untrained),
-        "average_reward": finite(np.median(point.reward)),
+        "lower_quartile": finite(low), "upper_quartile": finite(high),
+        **({f"lanes_without_{event}": point.without} if event else {}),
+        "failing": point.failing(untrained), "average_reward": finite(np.median(point.reward)),
     }  # fmt: skip
 
 
@@ -102,15 +118,16 @@ def _table(
 ) -> Table:
     rows = [{**about(p, untrained), **m} for p, m in zip(points, more, strict=True)]
     columns: dict[str, Any] = {name: [row[name] for row in rows] for name in rows[0]}
-    lanes = np.array([p.values for p in points]).T
-    return columns | lane_columns(task.measure.key, lanes)
+    for key in task.measure.keys:
+        columns |= lane_columns(key, np.array([p.figures[key] for p in points]).T)
+    return columns
 
 
 def _draw(sweep: Sweep, task: Task, points: Sequence[Outcome], untrained: Outcome) -> Figure:
     rows, columns = len(sweep.betas), len(sweep.gammas)
     figure = blank(max(_LEAST_HEIGHT, _AROUND + _CELL * rows))
     axes = figure.add_subplot()
-    medians = np.array([p.median for p in points]).reshape(rows, columns)
+    medians = np.array([p.drawn for p in points]).reshape(rows, columns)
     image = axes.imshow(
         medians, cmap=_colors(points), norm=_norm(task.measure, medians), aspect="auto",
         origin="lower",
@@ -134,7 +151,7 @@ def _draw(sweep: Sweep, task: Task, points: Sequence[Outcome], untrained: Outcom
 
 def _colors(points: Sequence[Outcome]) -> str:
     """Brighter is better: where more reward goes with a smaller measure, the other way round."""
-    measure = np.array([p.median for p in points])
+    measure = np.array([p.drawn for p in points])
     reward = np.array([np.median(p.reward) for p in points])
     agree = np.sum((measure - measure.mean()) * (reward - reward.mean())) >= 0.0
     return "viridis" if agree else "viridis_r"
@@ -152,14 +169,13 @@ def _write_cells(
     digits: Callable[[float], str],
 ) -> None:  # fmt: skip
     """The median, and below it the lanes that fail."""
-    shades = image.cmap(image.norm(np.array([p.median for p in points])))
+    shades = image.cmap(image.norm(np.array([p.drawn for p in points])))
     columns = round(image.get_extent()[1] + 0.5)
     for k, (point, shade) in enumerate(zip(points, shades, strict=True)):
         y, x = divmod(k, columns)
         ink = INK if shade[:3] @ _LUMINANCE > 0.45 else "white"
-        least = "≥ " if point.median_is_bound else ""
         failing = point.failing(untrained)
-        words = f"{least}{digits(point.median)}" + (f"\n{failing:.0%} fail" if failing else "")
+        words = _written(point, digits) + (f"\n{failing:.0%} fail" if failing else "")
         axes.text(x, y, words, color=ink, fontsize=SMALL, ha="center", va="center")
 
 

@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.task import Task
+from hebbviz.task import Measure, Task
 from server.experiments import Curves, Done, Plan
-from server.spread import middle_is_bound
+from server.spread import median, quantiles
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Over the last fifth of the steps, lane by lane (lanes,): the task's measure, whether that is
-    a lower bound, and the average reward.
+    """Over the last fifth of the steps, lane by lane (lanes,): the figures of the task's `measure`,
+    and the average reward.
     """
 
     plan: Plan
-    values: Array
-    is_bound: NDArray[np.bool_]
+    measure: Measure
+    figures: Mapping[str, Array]
     reward: Array
+
+    @property
+    def values(self) -> Array:
+        """The measure itself; infinite where its event was not seen."""
+        return self.figures[self.measure.key]
 
     @property
     def middle(self) -> int:
@@ -32,12 +39,25 @@ class Outcome:
 
     @property
     def median(self) -> float:
-        return float(np.median(self.values))
+        """Infinite where the event was not seen in half of the lanes."""
+        return float(median(self.values))
 
     @property
-    def median_is_bound(self) -> bool:
-        """Whether the true median is this or more."""
-        return bool(middle_is_bound(np.median, self.values, self.is_bound))
+    def quartiles(self) -> tuple[float, float]:
+        low, high = quantiles(self.values, (0.25, 0.75))
+        return float(low), float(high)
+
+    @property
+    def without(self) -> int:
+        """Lanes in which the event was not seen."""
+        return int(np.isinf(self.values).sum())
+
+    @property
+    def drawn(self) -> float:
+        """The median, or what a lane without an event is over, with 95 % confidence."""
+        if math.isfinite(self.median):
+            return self.median
+        return float(self.figures[self.measure.ends[0]][np.isinf(self.values)].max())
 
     def failing(self, untrained: Outcome) -> float:
         """The fraction of lanes that were rewarded no more than the luckiest untrained one."""
@@ -47,6 +67,6 @@ class Outcome:
 def outcome(done: Done, task: Task) -> Outcome:
     """What came of a plan."""
     curves: Curves = done.curves()
-    values, is_bound = curves.scores(task)
+    last = {key: values[:, -1].copy() for key, values in curves.scores(task).items()}
     reward = np.array([tally.average_reward for tally in curves.last()])
-    return Outcome(done.plan, values[:, -1].copy(), is_bound[:, -1].copy(), reward)
+    return Outcome(done.plan, task.measure, last, reward)
