@@ -1,7 +1,8 @@
 """The pendulum for many lanes at once: the equations of the pymunk world, without the engine.
 
-The same ten numbers, the same Runge-Kutta step, the same bounce. Where pymunk finds that the disc
+The same ten numbers, the same Runge-Kutta steps, the same bounce. Where pymunk finds that the disc
 overlaps a wall, here its centre is compared with how far it may come; the two agree to rounding.
+Common steps are computed several lanes at once, those near a wall or of a spinning rod one by one.
 """
 
 from __future__ import annotations
@@ -16,17 +17,20 @@ from hebbviz.compiled import called, compiled, inlined, row
 from hebbviz.engine import WORLD
 from hebbviz.task import CompiledTask
 from sims.pendulum import SEEN, Pendulum
-from sims.pendulum_physics import FARTHEST, PLANT, advance, fallen, rebound, restart, rk4
+from sims.pendulum_physics import PLANT, fallen, is_plain, restart, rk4, walled
 
 Array = NDArray[np.float64]
 
-_thrust, _mu, _dt, _limit = PLANT.thrust, PLANT.friction, PLANT.time_step, FARTHEST
+_thrust, _mu, _dt = PLANT.thrust, PLANT.friction, PLANT.time_step
 _THRUST_X, _THRUST_Y = 10, 11
 
 
 @inlined
-def _move(world, width, action):  # type: ignore[no-untyped-def]
-    """All lanes through a time step as if there were no walls; several at once."""
+def _move(world, width, action, later):  # type: ignore[no-untyped-def]
+    """All lanes through a plain time step, several at once.
+
+    `later` becomes 1.0 for the lanes whose step may be another; they stay where they are.
+    """
     x, y, vx, vy = (
         row(world, 0, width),
         row(world, 1, width),
@@ -40,26 +44,26 @@ def _move(world, width, action):  # type: ignore[no-untyped-def]
     for k in range(width):
         fx[k], fy[k] = _thrust * ux[k], _thrust * uy[k]
         s = (x[k], y[k], vx[k], vy[k], nx[k], ny[k], nz[k], wx[k], wy[k], wz[k])
-        x[k], y[k], vx[k], vy[k], nx[k], ny[k], nz[k], wx[k], wy[k], wz[k] = rk4(
-            s, fx[k], fy[k], _mu, _dt
-        )
+        end = rk4(s, fx[k], fy[k], _mu, _dt)
+        plain = is_plain(s, end, _dt)
+        later[k] = 0.0 if plain else 1.0
+        x[k], y[k], vx[k], vy[k], nx[k], ny[k], nz[k], wx[k], wy[k], wz[k] = end if plain else s
 
 
 @compiled
-def _bounce(state):  # type: ignore[no-untyped-def]
-    """Off the walls that the puck of a state (numbers,) has come too near to, in place."""
-    for axis in range(2):
-        if abs(state[axis]) > _limit:
-            rebound(state, axis, -1.0 if state[axis] > 0.0 else 1.0)
+def _through(state):  # type: ignore[no-untyped-def]
+    """One lane (numbers,) through any time step, in place."""
+    end = walled(state, state[_THRUST_X], state[_THRUST_Y], _mu, _dt)
+    for i in range(10):
+        state[i] = end[i]
 
 
 @inlined
-def _step(world, width, action):  # type: ignore[no-untyped-def]
-    _move(world, width, action)
-    x, y = row(world, 0, width), row(world, 1, width)
+def _step(world, width, action, later):  # type: ignore[no-untyped-def]
+    _move(world, width, action, later)
     for k in range(width):
-        if abs(x[k]) > _limit or abs(y[k]) > _limit:
-            _bounce(world[:, k])
+        if later[k] != 0.0:
+            _through(world[:, k])
 
 
 @called(WORLD)
@@ -67,14 +71,14 @@ def answer(world, action, data, keys, step, observation, reward, ended):  # type
     """The world's step for all lanes, see `engine.WORLD`; `data` (1, 8) holds the gains."""
     lanes = world.shape[1]
     if lanes == 1:  # constants let the compiler compute several lanes at once
-        _step(world, 1, action)
+        _step(world, 1, action, ended)
     elif lanes == 16:
-        _step(world, 16, action)
+        _step(world, 16, action, ended)
     elif lanes == 64:
-        _step(world, 64, action)
+        _step(world, 64, action, ended)
     else:
-        _step(world, lanes, action)
-    for k in range(lanes):
+        _step(world, lanes, action, ended)
+    for k in range(lanes):  # until here `ended` held something else
         down = fallen(world[:, k])
         reward[k], ended[k] = (-1.0, 1.0) if down else (0.0, 0.0)
         if down:
@@ -98,8 +102,7 @@ class PendulumLanes(Pendulum, CompiledTask):
         return self._gains[None]
 
     def transition(self, state: Array, action: Array, draws: Callable[[int], Array]) -> Array:
-        following = np.empty(12)
+        following = state.copy()
         following[10:] = PLANT.thrust * action
-        advance(state, following[10], following[11], following)
-        _bounce(following)
+        _through(following)
         return following

@@ -62,6 +62,14 @@ PLANT = Plant()
 FARTHEST = PLANT.side / 2 - PLANT.puck_radius
 """How far the puck's centre gets on an axis, in m."""
 
+FARTHEST_TURN = 0.2
+"""How far the rod turns in one Runge-Kutta step, at most, in rad: a blow can set it spinning."""
+
+SLOWEST_BLOW = 1e-3
+"""m/s. A puck that comes to a wall more slowly meets and leaves it at this speed, which is worth
+half a microjoule: pressed against a wall it would otherwise meet it without end in one time step.
+"""
+
 # Compiled code takes plain numbers in as constants.
 _M = PLANT.puck_mass
 _m = PLANT.bob_mass
@@ -72,6 +80,8 @@ _smoothing = PLANT.friction_smoothing
 _dt = PLANT.time_step
 _spread = PLANT.restart_spread
 _limit = FARTHEST
+_shortest = _dt / 1024  # s, of a Runge-Kutta step: ends where the rod turns without bound
+_HALVINGS = 52
 
 _jit = njit(cache=True, nogil=True, error_model="numpy")
 
@@ -153,18 +163,53 @@ def rk4(s: State, fx: float, fy: float, mu: float, dt: float) -> Ten:
 
 
 @_jit
-def advance(state: Vector, fx: float, fy: float, out: Vector) -> tuple[float, float, float, float]:
-    """Write to `out` the state one time step after `state`, there being no walls.
+def _to_the_turn(s: State, end: State, h: float) -> float:
+    """Return the seconds, up to `h`, until the puck turns back beside a wall it may reach first.
 
-    Both are of shape (10,) and may be the same array; the thrust (fx, fy) is in N. Returns
-    (x, y, mean_vx, mean_vy): where the puck was, in m, and the velocity, in m/s, that takes it
-    along a straight line to where it is. That is what a collision engine has to be given.
+    `end` is the state `h` seconds after `s`. Else a blow between the two would not be seen.
+    """
+    until = h
+    for axis in range(2):
+        v, v_end = s[2 + axis], end[2 + axis]
+        if abs(v) > SLOWEST_BLOW and v * v_end < 0.0 < v * s[axis]:
+            turn = h * v / (v - v_end)
+            if abs(s[axis] + v * turn) > _limit:
+                until = min(until, turn)
+    return until
+
+
+@_jit
+def piece(s: State, fx: float, fy: float, mu: float, left: float) -> tuple[float, Ten]:
+    """Return how long one Runge-Kutta step from `s` may be, in s, and where it ends: (h, state).
+
+    It is all that is `left` of a time step, unless the rod turns by more than `FARTHEST_TURN` in
+    that time or the puck comes near a wall and turns back. There are no walls here.
+    """
+    turning = math.sqrt(s[7] * s[7] + s[8] * s[8] + s[9] * s[9])
+    h = min(left, max(FARTHEST_TURN / turning, _shortest))
+    end = rk4(s, fx, fy, mu, h)
+    until = _to_the_turn(s, end, h)
+    if until < h:
+        return until, rk4(s, fx, fy, mu, until)
+    return h, end
+
+
+@_jit
+def advance(
+    state: Vector, fx: float, fy: float, left: float, out: Vector
+) -> tuple[float, float, float, float, float]:
+    """Write to `out` the state at the end of the next piece of a time step, there being no walls.
+
+    Both are of shape (10,); the thrust (fx, fy) is in N, and `left` is what is left of the step,
+    in s. Returns (h, x, y, mean_vx, mean_vy): the seconds that the piece takes, see `piece`, where
+    the puck was, in m, and the velocity, in m/s, that takes it along a straight line to where it
+    is. That is what a collision engine has to be given.
     """
     x, y = state[0], state[1]
-    end = rk4(state, fx, fy, _mu, _dt)
+    h, end = piece(state, fx, fy, _mu, left)
     for i in range(10):
         out[i] = end[i]
-    return x, y, (end[0] - x) / _dt, (end[1] - y) / _dt
+    return h, x, y, (end[0] - x) / h, (end[1] - y) / h
 
 
 @_jit
@@ -191,16 +236,87 @@ def bounce(s: State, ex: float, ey: float) -> Ten:
 
 
 @_jit
-def rebound(state: Vector, axis: int, inward: float) -> None:
-    """Bounce `state`, shape (10,), off a wall of the square, in place.
+def _contact(
+    s: State, fx: float, fy: float, mu: float, h: float, axis: int, inward: float
+) -> float:
+    """Return when, in s up to `h`, the puck comes to a wall that it is beyond after `h`.
 
-    `axis` is 0 (x) or 1 (y) and `inward`, 1.0 or -1.0, the direction of the wall's normal on
-    it. The stretch the puck went too far is mirrored at the wall.
+    Found by halving, to the last bit. A puck that leaves the wall at first, as after a blow, comes
+    back to it after it has turned.
     """
-    state[axis] = -2.0 * inward * _limit - state[axis]
-    end = bounce(state, inward * (1 - axis), inward * axis)
-    for i in range(2, 10):
-        state[i] = end[i]
+    v, v_end = s[2 + axis], rk4(s, fx, fy, mu, h)[2 + axis]
+    before, after = h * v / (v - v_end) if v * inward > 0.0 > v_end * inward else 0.0, h
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (before + after)
+        if rk4(s, fx, fy, mu, middle)[axis] * inward < -_limit:
+            after = middle
+        else:
+            before = middle
+    return after
+
+
+@_jit
+def _against(s: State, axis: int, inward: float) -> Ten:
+    """Return `s` with the puck at the wall and moving against it, at `SLOWEST_BLOW` at least."""
+    x, y, vx, vy = s[0], s[1], s[2], s[3]
+    if axis == 0:
+        x, vx = -inward * _limit, inward * min(inward * vx, -SLOWEST_BLOW)
+    else:
+        y, vy = -inward * _limit, inward * min(inward * vy, -SLOWEST_BLOW)
+    return x, y, vx, vy, s[4], s[5], s[6], s[7], s[8], s[9]
+
+
+@_jit
+def rebound(
+    s: State, fx: float, fy: float, mu: float, h: float, inward_x: float, inward_y: float
+) -> tuple[float, Ten]:
+    """Return when, in s up to `h`, the puck meets a wall, and the state just after the blow.
+
+    After `h` it would be beyond a wall: `inward_x`, 1.0 or -1.0, is the direction of that wall's
+    normal, and 0.0 says that there is none on the x axis; so for y. Of two the first is met.
+    """
+    axis, inward, t = 0, inward_x, h
+    if inward_x != 0.0:
+        t = _contact(s, fx, fy, mu, h, 0, inward_x)
+    if inward_y != 0.0:
+        at_y = _contact(s, fx, fy, mu, h, 1, inward_y)
+        if inward_x == 0.0 or at_y < t:
+            axis, inward, t = 1, inward_y, at_y
+    met = _against(rk4(s, fx, fy, mu, t), axis, inward)
+    return t, bounce(met, inward * (1 - axis), inward * axis)
+
+
+@_jit
+def _inward(x: float) -> float:
+    """Return the direction of the normal of the wall that `x` is beyond, or 0.0."""
+    return -math.copysign(1.0, x) if abs(x) > _limit else 0.0
+
+
+@_jit
+def walled(s: State, fx: float, fy: float, mu: float, dt: float) -> Ten:
+    """Return the state `dt` seconds after `s`, the walls found by comparing, with no engine."""
+    left = dt
+    s = s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8], s[9]
+    while left > 0.0:
+        h, end = piece(s, fx, fy, mu, left)
+        inward_x, inward_y = _inward(end[0]), _inward(end[1])
+        if inward_x != 0.0 or inward_y != 0.0:
+            h, end = rebound(s, fx, fy, mu, h, inward_x, inward_y)
+        s, left = end, left - h
+    return s
+
+
+@_jit
+def is_plain(s: State, end: State, dt: float) -> bool:
+    """Return whether `end`, one Runge-Kutta step of `dt` seconds after `s`, is what `walled` gives.
+
+    Where it says no, it may be so all the same: what takes long to tell is left to `walled`.
+    """
+    inside = (abs(end[0]) <= _limit) & (abs(end[1]) <= _limit)
+    clear = (abs(s[0] + s[2] * dt) <= _limit) & (abs(s[1] + s[3] * dt) <= _limit)
+    turn = s[7] * s[7] + s[8] * s[8] + s[9] * s[9]
+    plain: bool = inside & clear & (turn * (dt * dt) < 0.999 * FARTHEST_TURN * FARTHEST_TURN)
+    return plain
 
 
 @_jit

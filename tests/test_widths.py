@@ -15,7 +15,7 @@ from hebbviz.topology import SYMMETRIC
 from sims.loading import make_task
 from sims.pendulum import Pendulum
 from sims.pendulum_lanes import PendulumLanes
-from sims.pendulum_physics import FARTHEST
+from sims.pendulum_physics import FARTHEST, FARTHEST_TURN, PLANT
 
 WIDEST = WIDTHS[-2] + 1
 """Lanes that are in a tile of the widest kind, and leave most of it idle."""
@@ -163,6 +163,36 @@ def test_it_is_the_pymunk_world_with_bounces():
                 break
             assert np.abs(a - b).max() < 1e-9
     assert bounces > 50
+
+
+@pytest.mark.parametrize("width", WIDTHS[1:])
+def test_lanes_at_walls_and_with_spinning_rods_step_as_pymunk_does(width):
+    """One step of every lane of a tile, some common, some not: within 1e-9, and as if alone."""
+    rng, lanes, pymunk = np.random.default_rng(1), PendulumLanes(), Pendulum()
+    learner = Learner(lanes, lanes=width)
+    met = spun = plain = 0
+    for _ in range(512 // width):
+        rod = np.array([0.4, 0.4, 0.0])[:, None] * rng.normal(size=(3, width)) + [[0], [0], [1]]
+        world = np.zeros((12, width))
+        world[:2] = rng.choice([-1, 1], (2, width)) * (FARTHEST - rng.exponential(0.1, (2, width)))
+        world[:2].clip(-FARTHEST, FARTHEST, out=world[:2])
+        world[2:4] = rng.normal(0, 2, (2, width))
+        world[4:7] = rod / np.linalg.norm(rod, axis=0)
+        world[7:10] = np.cross(world[4:7], rng.normal(0, 7, (3, width)), axis=0)
+        learner.restore(type(moment := learner.keyframe())(**{**vars(moment), "world": world}))
+        learner.advance(1)
+        for lane in range(width):
+            start, end = world[:, lane], learner.world[:, lane]
+            action = learner.activities[-2:, lane]
+            want = pymunk.transition(start, action, None)
+            if pymunk.ended(want):
+                continue
+            assert np.abs(end - want).max() < 1e-9
+            assert np.array_equal(end, lanes.transition(start, action, None))
+            bounced = (np.abs(end[2:4] - start[2:4]) > 0.5).any()
+            turns = np.linalg.norm(start[7:10]) * PLANT.time_step > FARTHEST_TURN
+            met, spun, plain = met + bounced, spun + turns, plain + (not bounced and not turns)
+    assert min(met, spun, plain) > 50
 
 
 def test_what_was_learnt_in_lanes_balances_in_pymunk():
