@@ -209,6 +209,10 @@ class Task:
 
     name: ClassVar[str]
     summary: ClassVar[str] = ""
+    version: ClassVar[int] = 1
+    """Raised when the same state, action and draws come to lead to something else: a recording made
+    before then says why its steps cannot be made again.
+    """
     outputs: ClassVar[tuple[Output, ...]]
     presets: ClassVar[Mapping[str, Preset]]
     dt: ClassVar[float | None] = None

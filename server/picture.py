@@ -18,11 +18,14 @@ from server.watch import Excerpt
 
 @dataclass(frozen=True)
 class Past:
-    """The past of a run, while it is shown: the step that is, and what is known of it."""
+    """The past of a run, while it is shown: the step that is, and what is known of it; where it
+    does not come out as it was, why.
+    """
 
     cursor: int
     loop: bool
     check: Check
+    why: str | None = None
 
 
 @dataclass(frozen=True)

@@ -35,10 +35,7 @@ class Check(enum.Enum):
     OWN = "made again in the program that made it"
     PENDING = "made again; being compared with the next keyframe"
     GOOD = "made again, and compared with the next keyframe: the same to the bit"
-    DIFFERS = (
-        "made again it comes out otherwise, for another type of machine, version or file of the "
-        "task: what was stored is shown"
-    )
+    DIFFERS = "made again it comes out otherwise: what was stored is shown"
 
 
 class Player:
@@ -55,6 +52,13 @@ class Player:
         self._owed = 0.0
         self._shown: int | None = None
         self.seek(self.last)
+
+    @property
+    def why(self) -> str | None:
+        """Why the run comes out otherwise, where it does."""
+        if self._stored is None or self.check is not Check.DIFFERS:
+            return None
+        return self._stored.other_now
 
     @property
     def cursor(self) -> int:

@@ -57,7 +57,12 @@ class Follower:
 
 
 class Stored(Protocol):
-    """What was stored of the steps of a run, besides its keyframes."""
+    """What was stored of the steps of a run, besides its keyframes.
+
+    `other_now` is what is another here than where it was recorded, in words.
+    """
+
+    other_now: str
 
     def frame(self, keyframe: Frame, step: int) -> Frame:
         """The frame of the last keyframe, with all that is known to have been otherwise."""

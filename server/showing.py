@@ -97,7 +97,9 @@ class Showing:
 
     def past(self) -> Past | None:
         player = self.player
-        return None if player is None else Past(player.cursor, player.loop, player.check)
+        return (
+            None if player is None else Past(player.cursor, player.loop, player.check, player.why)
+        )
 
     def other(self) -> Other | None:
         fork = self.fork

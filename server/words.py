@@ -144,7 +144,8 @@ def warning(picture: Picture) -> str | None:
             return why
         told = (stuck_lanes(picture), f"Lane {picture.lane}: {why}" if why else None)
         return "  \n".join(filter(None, told)) or None
-    return f"{picture.past.check.value}." if picture.past.check is Check.DIFFERS else None
+    past = picture.past
+    return f"{past.check.value} ({past.why})." if past.check is Check.DIFFERS else None
 
 
 def besides(picture: Picture) -> list[str]:

@@ -161,7 +161,12 @@ def test_events_are_found(pendulum: Run) -> None:
 
 def recorded(path: Path, tamper: Callable[[Keyframe], Keyframe] = lambda k: k) -> Run:
     """A run read back from a file; `tamper` may forge the keyframes on their way there."""
-    run = Run(Learner(make_task("pendulum"), seed=2), make_task)
+    record(path, "pendulum", tamper)
+    return open_recording(path).run(make_task, make_task("pendulum"))
+
+
+def record(path: Path, task: str, tamper: Callable[[Keyframe], Keyframe] = lambda k: k) -> None:
+    run = Run(Learner(make_task(task), seed=2), make_task, task)
     recorder = Recorder(FileTarget(path), run, on_notice=pytest.fail)
     run.followers.append(recorder)
     for step in (300, 500, 700, 1000):
@@ -172,7 +177,6 @@ def recorded(path: Path, tamper: Callable[[Keyframe], Keyframe] = lambda k: k) -
         if step == 500:
             run.change(SetBeta(0.9))
     recorder.close(run)
-    return open_recording(path).run(make_task, make_task("pendulum"))
 
 
 def test_a_recording_is_compared_with_its_keyframes(tmp_path: Path) -> None:
@@ -210,6 +214,30 @@ def test_where_it_cannot_be_made_again_what_was_stored_is_shown(tmp_path: Path) 
     assert np.array_equal(recent.part(500, 650).broadcast, block.broadcast)
     player.playing = True
     assert [player.play(0.1, 50.0).step for _ in range(3)] == [655, 660, 665]
+
+
+def test_a_recording_of_an_older_world_says_so(tmp_path: Path) -> None:
+    file, path = tmp_path / "lever.py", tmp_path / "run.rrd"
+    old = (Path(__file__).parent / "examples" / "lever.py").read_text()
+    task = f"{file}:Lever"
+    file.write_text(old)
+    record(path, task)
+    new = old.replace("return state[1]", "return 2.0 * state[1]")
+    file.write_text(new.replace('name = "lever"', 'name = "lever"\n    version = 2'))
+    player = Player(open_recording(path).run(make_task, make_task(task)))
+    player.seek(400)
+    assert check_fully(player) is Check.DIFFERS
+    assert player.why == "it was recorded with version 1 of task lever, this is version 2"
+
+
+def test_a_recording_from_before_tasks_had_versions_is_of_version_1(tmp_path: Path) -> None:
+    record(tmp_path / "run.rrd", "pendulum")
+    header = open_recording(tmp_path / "run.rrd").header
+    task = make_task("pendulum")
+    assert "version" not in header.other_now(task)
+    old = replace(header, versions={n: v for n, v in header.versions.items() if n != "task"})
+    why = old.other_now(task)
+    assert why == "it was recorded with version 1 of task pendulum, this is version 2"
 
 
 # Tapes

@@ -155,9 +155,10 @@ def _check_same_again(run: Run, replay: Replay, header: Header) -> None:
     check = run.replay(replay.moment(), following)
     check.go_to(following.step)
     if check.moment().keyframe.digest() != following.keyframe.digest():
+        why = header.other_now(run.learner.task)
         raise BadRecording(
-            f"the run does not come out the same again: {header.other_now}; leave "
-            "--every-step out, for what was stored"
+            f"the run does not come out the same again: {why}; leave --every-step out, for what "
+            "was stored"
         )
 
 

@@ -14,7 +14,7 @@ import hebbviz
 from hebbviz.limits import fall_from_json, fall_to_json
 from hebbviz.rules import Rule, make_rule
 from hebbviz.rules.paper import PAPER
-from hebbviz.task import Tally
+from hebbviz.task import Tally, Task
 from hebbviz.topology import Topology
 from server.commands import (
     Change,
@@ -31,6 +31,8 @@ from server.commands import (
 PROGRAM = "hebbviz recording"
 FORMAT = 2
 """2 says the rule, in the header and of every keyframe; 1 knew the paper's rule alone."""
+TASK = "task"
+"""Under which the versions have that of the task."""
 VERSIONS_OF = ("numpy", "numba", "pymunk", "rerun-sdk")
 
 CHANGES = {
@@ -87,15 +89,23 @@ class Header:
         }
         return json.dumps(said)
 
-    @property
-    def other_now(self) -> str:
+    def other_now(self, task: Task) -> str:
         """What is another here than where it was recorded, so that the run may not come out the
-        same again: the type of machine, else versions, else what alone is left.
+        same again: the version of its task, the type of machine, else versions, else what alone
+        is left.
         """
+        recorded = self.versions.get(TASK, "1")  # recordings were made before tasks had versions
+        if recorded != str(task.version):
+            return (
+                f"it was recorded with version {recorded} of task {task.name}, this is version "
+                f"{task.version}"
+            )
         if machine() != self.machine:
             return f"it was recorded on {self.machine}, this is {machine()}"
         old, now = self.versions, versions()
-        changed = [f"{n} {old[n]}, now {now.get(n)}" for n in old if old[n] != now.get(n)]
+        changed = [
+            f"{n} {old[n]}, now {now.get(n)}" for n in old if n != TASK and old[n] != now.get(n)
+        ]
         if changed:
             return f"it was recorded with {'; '.join(changed)}"
         return "the file of its task or of its rule must be another one than when it was recorded"

@@ -85,7 +85,7 @@ class Recording:
         run = Run(learner, make_task, task_name or header.task)
         run.log, run.history = list(self.log), self.history()
         run.tape = Tape(self.moments, most_bytes=MOST_BYTES)
-        run.stored = Stored(self.path, header.topology)
+        run.stored = Stored(self.path, header.topology, header.other_now(task))
         return run
 
     def _go_to_end(self, learner: Learner) -> None:

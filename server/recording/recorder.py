@@ -13,7 +13,7 @@ from hebbviz.task import Tally
 from server.commands import Logged
 from server.history import usual_window
 from server.recording import thinning
-from server.recording.header import Header, check_recordable, machine, versions
+from server.recording.header import TASK, Header, check_recordable, machine, versions
 from server.recording.status import Status
 from server.recording.take import CLOSE_SECONDS, Take
 from server.recording.targets import Target
@@ -154,5 +154,6 @@ def _header(run: Run, budget: int, detail: str) -> Header:
         beta=learner.beta, gamma=learner.gamma, fall=learner.fall, dt=task.dt, step=learner.step,
         window=run.history.window, edges=run.history.edges(learner.watch), log=tuple(run.log),
         kept_window=window, detail=detail, budget=budget,
-        thinning=thinning.rule(window, budget, detail), versions=versions(), machine=machine(),
+        thinning=thinning.rule(window, budget, detail),
+        versions=versions() | {TASK: str(task.version)}, machine=machine(),
     )  # fmt: skip

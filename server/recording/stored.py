@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 class Stored:
     """Steps and weights of a recording; the file is read when they are first asked for."""
 
-    def __init__(self, path: Path, topology: Topology) -> None:
-        self._path, self._topology = path, topology
+    def __init__(self, path: Path, topology: Topology, other_now: str) -> None:
+        self._path, self._topology, self.other_now = path, topology, other_now
 
     def frame(self, keyframe: Frame, step: int) -> Frame:
         """The frame of the last keyframe, with all that is known to have been otherwise at `step`.
