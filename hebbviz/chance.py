@@ -7,10 +7,10 @@ of cuRAND, PyTorch and TensorFlow, with the fewest rounds that its authors found
 BigCrush, seven, where those take ten. The published test vectors for seven rounds are in the tests.
 
 Other generators were tried and not taken (64 lanes of sonar with AVX-512; processor time beside
-this one's). If random numbers cost nothing, a step would be 1.31 times as fast in float32 and 1.11 times
-in float64 (`tests/benchmarks/random_numbers.py`). Blocks that four steps share, so that no word is
-left over, made it 0.95 and 1.05 times as fast; xoshiro128++ in bursts of 16 steps, each seeded by a
-block, 1.17 and 1.0 times, but one lane 0.7 times.
+this one's). If random numbers cost nothing, a step would be 1.31 times as fast in float32 and 1.11
+times in float64 (`tests/benchmarks/random_numbers.py`). Blocks that four steps share, so that no
+word is left over, made it 0.95 and 1.05 times as fast; xoshiro128++ in bursts of 16 steps, each
+seeded by a block, 1.17 and 1.0 times, but one lane 0.7 times.
 """
 
 from __future__ import annotations
