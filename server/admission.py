@@ -31,6 +31,13 @@ class MovingSlider(gui.GuiSliderHandle[int]):
         super().__init__(slider._impl)  # noqa: SLF001  # viser has no slider of other kinds
 
 
+class TabButtons(gui.GuiButtonGroupHandle):
+    """Buttons in the place of others, which do something to the tab alone that presses them."""
+
+    def __init__(self, buttons: gui.GuiButtonGroupHandle) -> None:
+        super().__init__(buttons._impl)  # noqa: SLF001  # viser has no buttons of other kinds
+
+
 Finite = Annotated[float, msgspec.Meta(ge=-1e300, le=1e300)]  # NaN fails both comparisons
 Natural = Annotated[int, msgspec.Meta(ge=0, lt=2**31)]
 Vec2 = tuple[Finite, Finite]
@@ -209,6 +216,7 @@ _RULES: dict[type, Callable[[Any, object], str | None]] = {
     gui.GuiTextHandle: _text_rule,
     gui.GuiDropdownHandle: _option_rule,
     gui.GuiButtonGroupHandle: _option_rule,
+    TabButtons: _option_rule,
     gui.GuiRgbHandle: _color_rule,
     gui.GuiRgbaHandle: _color_rule,
 }

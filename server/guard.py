@@ -32,8 +32,9 @@ from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 from websockets.http11 import Request, Response
 
-from server import admission, message_buffer
+from server import admission, message_buffer, readers
 from server.entrance import Access, Entrance, Passage, Role, headers
+from server.readers import Reader
 from server.refusal import Refused
 
 MAX_MESSAGE_BYTES = 2**20
@@ -120,6 +121,7 @@ def open_server(
         raise RuntimeError(f"viser {viser.__version__} starts its server in an unknown way")
     server.gui.configure_theme(show_share_button=False)
     server.gate = gate
+    server.on_client_connect(server.welcome_reader)
     gate.server = server
     return server
 
@@ -148,7 +150,7 @@ class Gate:
 
         async def checked_request(conn: _Connection, request: Request) -> Response | None:
             try:
-                conn.passage = self.entrance.check(request.path, request.headers.get_all)
+                conn.let_in(self.entrance.check(request.path, request.headers.get_all))
             except Refused as refused:
                 self._report_once(refused, self._on_turned_away)
                 return conn.respond(HTTPStatus.FORBIDDEN, f"{refused.line}\n")
@@ -193,7 +195,7 @@ class Gate:
         for connection in list(self.connections):
             connection.transport.abort()
 
-    def admit(self, raw: str | bytes) -> bytes | None:
+    def admit(self, raw: str | bytes, connection: _Connection) -> bytes | None:
         """The message as viser may have it, or None.
 
         It is encoded anew from what was checked, so that viser can't read the same bytes (say,
@@ -201,9 +203,12 @@ class Gate:
         """
         try:
             message = admission.decode(raw if isinstance(raw, bytes) else b"")  # viser sends bytes
-            admission.check(message, self._target(message))
+            target, own = self._target(message, connection)
+            if connection.reader is not None:
+                readers.check(message, target, own=own)
+            admission.check(message, target)
         except Refused as refused:
-            self._refuse(refused)
+            self._refuse(refused, connection)
             return None
         return admission.encode(message)
 
@@ -217,26 +222,36 @@ class Gate:
             self._reported.add(refused.kind)
             tell(refused.line)
 
-    def _target(self, message: admission.FromPage) -> Any:
-        """What the message is about, in the shared GUI or else in the one of a single client."""
+    def _target(
+        self, message: admission.FromPage, connection: ServerConnection
+    ) -> tuple[Any, bool]:
+        """What the message is about, in the shared GUI or else in the client's own; and whether it
+        is the client's own.
+        """
         registry = REGISTRIES.get(type(message))
         if registry is None:
-            return None
+            return None, False
         assert self.server is not None  # requests wait for it
         uuid: str = message.uuid  # type: ignore[attr-defined]
-        for api in (self.server.gui, *(c.gui for c in self.server.get_clients().values())):
-            if uuid in getattr(api, registry):
-                return getattr(api, registry)[uuid]
+        if uuid in (shared := getattr(self.server.gui, registry)):
+            return shared[uuid], False
+        client = self.server.client_of(connection)
+        if client is not None and uuid in (own := getattr(client.gui, registry)):
+            return own[uuid], True
         raise Refused("target", "refused a message from a page: it is about no known widget")
 
-    def _refuse(self, refused: Refused) -> None:
+    def _refuse(self, refused: Refused, connection: _Connection) -> None:
         """Report now; show the true value a little later, at most once a second per widget.
 
         Later, because a user who types 25 into a box for 10 to 99 passes through 2, and must not
         have the box rewritten before the 5.
         """
         widget = refused.widget
-        if widget is None:
+        if connection.reader is not None:
+            assert self.server is not None
+            if (client := self.server.client_of(connection)) is not None:
+                connection.reader.refuse(refused, client)
+        elif widget is None:
             self.report(refused)
         elif widget._impl.uuid not in self._unsettled:
             self._unsettled.add(widget._impl.uuid)
@@ -256,6 +271,11 @@ class _Connection(ServerConnection):
         super().__init__(*args, **kwargs)
         self.gate = gate
         self.passage = NO_PASSAGE
+        self.reader: Reader | None = None
+
+    def let_in(self, passage: Passage) -> None:
+        self.passage = passage
+        self.reader = Reader() if passage.role is Role.READER else None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
@@ -270,7 +290,7 @@ class _Connection(ServerConnection):
                     line = f"refused a message from a page: over {MAX_MESSAGE_BYTES} bytes"
                     self.gate.report(Refused("oversized", line))
                 raise
-            if (admitted := self.gate.admit(raw)) is not None:
+            if (admitted := self.gate.admit(raw, self)) is not None:
                 return admitted
 
 
@@ -324,6 +344,21 @@ class GuardedServer(viser.ViserServer):
     def entrance(self) -> Entrance:
         assert self.gate is not None  # `open_server` sets it
         return self.gate.entrance
+
+    def client_of(self, connection: ServerConnection) -> viser.ClientHandle | None:
+        """The client behind a connection, once it has sent its camera."""
+        live = self._websock_server._live_connections
+        found = (number for number, other in list(live.items()) if other is connection)
+        return self.get_clients().get(next(found, -1))
+
+    def is_reader(self, client: viser.ClientHandle) -> bool:
+        """Whether a client came in to look, and changes nothing."""
+        connection = self._websock_server._live_connections.get(client.client_id)
+        return isinstance(connection, _Connection) and connection.reader is not None
+
+    def welcome_reader(self, client: viser.ClientHandle) -> None:
+        if self.is_reader(client):
+            readers.welcome(client)
 
     def stop(self) -> None:
         with _viser_silenced():

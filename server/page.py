@@ -17,9 +17,11 @@ from typing import Any
 import viser
 
 from server import camera, palette, style, words
+from server.admission import TabButtons
 from server.commands import Command, Probe, ShowBeginning
 from server.controls import Controls
 from server.estimate import knows_its_truth
+from server.guard import GuardedServer
 from server.inspector import Inspector
 from server.look import Looks, unit_names
 from server.palette import THEMES
@@ -46,7 +48,7 @@ longer, each drawing of a chart makes its uPlot anew."""
 class Page:
     """Draws a worker's run on a viser server until told to stop."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
+    def __init__(self, server: GuardedServer) -> None:
         self._server = server
         self._notices: deque[str] = deque(maxlen=20)
         self._inspectors: dict[int, Inspector] = {}
@@ -179,7 +181,7 @@ class Page:
 
     def _build_view(self, gui: viser.GuiApi) -> None:
         with gui.add_folder("View"):
-            self._view = view = gui.add_button_group("camera", camera.VIEWS)
+            self._view = view = TabButtons(gui.add_button_group("camera", camera.VIEWS))
             theme = gui.add_dropdown("theme", tuple(THEMES), initial_value=self._theme.name)
             self._scales = gui.add_markdown("")
 
@@ -254,7 +256,7 @@ class Page:
 
     def _welcome(self, client: viser.ClientHandle) -> None:
         self._connected(client)
-        if len(self._server.get_clients()) == 1:
+        if len(self._server.get_clients()) == 1 and not self._server.is_reader(client):
             self._send(ShowBeginning())
         if camera.aspect_of(client) < camera.WHOLE_ASPECT:
             client.gui.main_panel.minimize()

@@ -84,6 +84,7 @@ class RawClient:
         self.decode = decode
         self.frames = self.messages = self.bytes = 0  # received so far
         self.widgets: dict[str, Widget] = {}  # by uuid
+        self.notices: list[str] = []
         self.close_code: int | None = None
         self._frame_decoder = msgspec.msgpack.Decoder(_Frame)
         self._decompressor = zstandard.ZstdDecompressor()
@@ -168,12 +169,14 @@ class RawClient:
         inner = self._decompressor.decompress(frame[16 : 16 + packed], max_output_size=size)
         for raw in self._frame_decoder.decode(inner).messages:
             self.messages += 1
-            if b"Gui" in (encoded := bytes(raw)) or b"Command" in encoded:
+            if any(part in (encoded := bytes(raw)) for part in (b"Gui", b"Command", b"Notif")):
                 self._apply(msgspec.msgpack.decode(encoded))
 
     def _apply(self, message: dict[str, Any]) -> None:
         kind, uuid = message["type"], message.get("uuid", "")
-        if kind in ("GuiUpdateMessage", "CommandUpdateMessage"):
+        if kind == "NotificationShowMessage":
+            self.notices.append(message["props"]["body"])
+        elif kind in ("GuiUpdateMessage", "CommandUpdateMessage"):
             if (widget := self.widgets.get(uuid)) is not None:
                 updates = dict(message["updates"])
                 widget.value = updates.pop("value", widget.value)
