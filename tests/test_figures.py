@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 import shlex
 import signal
 import subprocess
@@ -22,7 +23,7 @@ from hebbviz.learner import Learner
 from hebbviz.task import Measure
 from hebbviz.truth import angle_between
 from server.cli import main
-from server.experiments import Curves, Plan
+from server.experiments import Curves, Plan, open_workers, run_all
 from server.experiments.share import Tile, bring_on
 from server.figures import learning, pendulum
 from server.figures.command import progress_bar
@@ -30,7 +31,14 @@ from server.figures.curves import preset_note, set_measure_axis
 from server.figures.gradient import BETAS, STILL, Watched, Watching, angle_of_all
 from server.figures.length import Time
 from server.figures.order import KINDS, Order
-from server.figures.scales import Course, even_course
+from server.figures.scales import (
+    Course,
+    course,
+    evaluated,
+    even_course,
+    frozen_course,
+    scales,
+)
 from server.figures.sheet import Origin, Sheet, apart, blank, look, save
 from server.options import parse
 from sims import TASKS
@@ -120,7 +128,9 @@ def test_three_files_are_written_and_say_by_what_they_were_made(made, name):
     assert [Path(p).suffix for p in figure.says["files"]] == [".png", ".svg", ".csv"]
     assert {Path(p) for p in figure.says["files"]} == set(figure.folder.iterdir())
     told = {"command": figure.says["command"], "version": hebbviz.__version__, "seed": "0"}
+    told["quick"] = figure.comments["quick"]
     assert figure.comments == told
+    assert re.match(r"\d+ (short )?(run|estimate)s? |the same as without|preset ", told["quick"])
     with Image.open(figure.file("png")) as image:
         image.load()
         assert image.width > 1000
@@ -310,6 +320,28 @@ def test_pendulum_shows_the_falls_of_every_run(made):
         assert says["presets"][preset]["mean_time_to_fall_s_median_at_end"] == end
 
 
+def test_a_point_of_the_pendulum_is_of_a_frozen_copy():
+    """At the very steps at which the blocks of the running learner end, from one scale or another,
+    and told as `Task.evaluate` has it.
+    """
+    points = {"first": 500, "per_decade": 4}
+    plans = evaluated(scales(Plan(task="pendulum", preset="best", lanes=2, segments=50,
+                                  segment_steps=100), first=1000), **points)  # fmt: skip
+    with open_workers() as workers:
+        curves = run_all(plans, workers)
+    task = plans[-1].make_task()
+    frozen, running = frozen_course(task, curves), course(task, curves, **points)
+    assert len(frozen.steps) > 4
+    np.testing.assert_array_equal(frozen.steps, running.steps)
+    learner = Learner(task, lanes=2)
+    for k, step in enumerate(frozen.steps):
+        learner.skip(int(step) - learner.step)
+        for key, values in task.evaluate(learner).items():
+            np.testing.assert_array_equal(frozen.figures[key][:, k], values)
+    np.testing.assert_allclose(frozen.values * frozen.figures["falls"], 2000.0)
+    assert pendulum._FROZEN_SECONDS == 2000.0, "as in the paper"
+
+
 def seconds_of(steps, values):
     """A course of time to fall (lanes, n), with some falls in all of it."""
     figures = dict.fromkeys(Pendulum.measure.keys, np.array(values, dtype=float))
@@ -320,10 +352,11 @@ def seconds_of(steps, values):
 def test_literal_is_called_flat_only_where_it_is(end, is_flat):
     steps = np.array([500, 50_000, 5_000_000])
     plan = Plan(task="pendulum", preset="literal", lanes=1, segments=1, segment_steps=5_000_000)
-    course = seconds_of(steps, [[0.5, 0.6, end]])
+    found = seconds_of(steps, [[0.5, 0.6, end]])
     ones = np.ones((1, 1))
     curves = Curves(steps[-1:], plan.steps, ones, ones, ones, steps[:0], {})
-    assert pendulum._is_flat_literal(pendulum._Curve(plan, curves, course)) is is_flat
+    curve = pendulum._Curve(plan, curves, found, learning=seconds_of(steps, [[0.5, 5.0, 500.0]]))
+    assert pendulum._is_flat_literal(curve) is is_flat, "frozen copies are drawn"
 
 
 @pytest.mark.parametrize(("highest", "top"), [(100.0, 3e4), (4e5, 6e5)])
@@ -331,11 +364,11 @@ def test_no_time_to_fall_is_cut_off(highest, top):
     values = np.array([[0.5, 2.0, 50.0], [0.5, 9.0, highest]])
     steps = np.array([500, 50_000, 5_000_000])
     plan = Plan(task="pendulum", preset="quick", lanes=2, segments=1, segment_steps=5_000_000)
-    course = seconds_of(steps, values)
+    found = seconds_of(steps, values)
     ones = np.ones((2, 1))
     curves = Curves(steps[-1:], plan.steps, ones, ones, ones, steps[:0], {})
     with look():
-        figure = pendulum._draw([pendulum._Curve(plan, curves, course)],
+        figure = pendulum._draw([pendulum._Curve(plan, curves, found, found)],
                                 {"random_thrust_s": 0.6, "constant_thrust_s": 0.3})  # fmt: skip
     assert figure.axes[0].get_ylim() == (0.15, top)
 

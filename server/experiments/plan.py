@@ -43,6 +43,7 @@ class Plan:
     segments, segment_steps : points of the curve, and steps of each.
     evaluate : a frozen copy is evaluated before the first segment and after every so many; 0 for
         never.
+    evaluate_at : and at these steps, each the end of a segment.
     options : whatever else a `Learner` takes by keyword; numbers and strings, the rule as
         `load_rule` reads it.
     """
@@ -58,6 +59,7 @@ class Plan:
     segments: int
     segment_steps: int
     evaluate: int = 0
+    evaluate_at: tuple[int, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -102,7 +104,8 @@ class Plan:
 
     def evaluates_at(self, step: int) -> bool:
         """Whether a frozen copy is evaluated at this step, which is the end of a segment, or 0."""
-        return self.evaluate > 0 and step % (self.evaluate * self.segment_steps) == 0
+        regularly = self.evaluate > 0 and step % (self.evaluate * self.segment_steps) == 0
+        return regularly or step in self.evaluate_at
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)

@@ -15,6 +15,8 @@ from server.spread import median
 from server.terminal import finite
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
 
@@ -77,11 +79,11 @@ def lane_columns(name: str, values: NDArray[Any]) -> dict[str, list[Any]]:
     return {f"{name}_{k}": lane.tolist() for k, lane in enumerate(values)}
 
 
-def course_columns(measure: Measure, course: Course) -> dict[str, list[Any]]:
+def course_columns(course: Course, prefix: str = "") -> dict[str, list[Any]]:
     """The median and each lane's figures. A time to an event that was not seen is infinite."""
-    columns = {f"{measure.key}_median": course.median.tolist()}
-    for key in measure.keys:
-        columns |= lane_columns(key, course.figures[key])
+    columns = {f"{prefix}{course.measure.key}_median": course.median.tolist()}
+    for key, values in course.figures.items():
+        columns |= lane_columns(f"{prefix}{key}", values)
     return columns
 
 
@@ -91,18 +93,21 @@ def draw_course(axes: Axes, course: Course, step: float, shade: Color) -> None:
 
     `step` is the time of a step on the horizontal axis.
     """
-    times = np.asarray(course.steps * step, dtype=np.float64)
+    times = course.steps * step
     for values in course.values:
-        axes.plot(*_known(times, values), color=shade, lw=0.7, alpha=0.35)
-    axes.plot(*_known(times, course.median), color=shade, lw=2.2)
+        axes.plot(*known(times, values), color=shade, lw=0.7, alpha=0.35)
+    axes.plot(*known(times, course.median), color=shade, lw=2.2)
     some, half = np.isfinite(course.over), np.isinf(course.median)
-    axes.plot(times[some], course.over[some], "^", color=shade, ms=2.5, mew=0, alpha=0.6)
-    axes.plot(times[half], course.over[half], "^", color=shade, ms=5.0, mfc="white")
+    for at, size, inside in ((some, 2.5, shade), (half, 5.5, "white")):
+        if at.any():
+            axes.plot(times[at], course.over[at], "^", color=shade, ms=size, mfc=inside,
+                      clip_on=False, zorder=5)  # fmt: skip
 
 
-def _known(times: Array, values: Array) -> tuple[Array, Array]:
-    known = np.isfinite(values)
-    return times[known], values[known]
+def known(times: NDArray[Any], values: Array) -> tuple[NDArray[Any], Array]:
+    """Those that are finite."""
+    finite = np.isfinite(values)
+    return times[finite], values[finite]
 
 
 def triangles(course: Course) -> str:
@@ -157,13 +162,21 @@ def outcome(task: Task, course: Course, curves: Curves) -> dict[str, Any]:
     """The measure over the last fifth of all steps, as `hebbviz train` has it, and its median;
     and the median at the end of the curve, over the last stretch that is drawn. None is infinite.
     """
-    key = task.measure.key
     last = {k: v[:, 0] for k, v in figures_of(task, [[t] for t in curves.last()]).items()}
-    return {
-        **{
-            k: [v if isinstance(v, int) else finite(v) for v in values.tolist()]
-            for k, values in last.items()
-        },
-        f"{key}_median": finite(median(last[key])),
-        f"{key}_median_at_end": finite(course.median[-1]),
+    at_end = f"{task.measure.key}_median_at_end"
+    return _lanes(task.measure, last) | {at_end: finite(course.median[-1])}
+
+
+def frozen_outcome(course: Course) -> dict[str, Any]:
+    """The measure of frozen copies at the end, and its median."""
+    last = {key: values[:, -1] for key, values in course.figures.items()}
+    return {f"frozen_{key}": v for key, v in _lanes(course.measure, last).items()}
+
+
+def _lanes(measure: Measure, figures: Mapping[str, Array]) -> dict[str, Any]:
+    """Figures of each lane (lanes,), and their median. None is infinite."""
+    told: dict[str, Any] = {
+        key: [v if isinstance(v, int) else finite(v) for v in values.tolist()]
+        for key, values in figures.items()
     }
+    return told | {f"{measure.key}_median": finite(median(figures[measure.key]))}

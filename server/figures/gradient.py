@@ -119,8 +119,8 @@ def make(order: Order, work: Work) -> Sheet:
         "bias": [c.bias for c in courses],
         "expected_angle": [float(c.expected[-1]) for c in courses],
     }  # fmt: skip
-    quick = f"quick: {lanes} estimates of {steps:,} steps in place of 16 of 10,000,000\n"
-    return Sheet(figure, _table(courses), numbers, (quick if order.quick else "") + _TOGETHER)
+    quick = f"{lanes} estimates of {steps:,} steps in place of 16 of 10,000,000"
+    return Sheet(figure, _table(courses), numbers, _TOGETHER, quick if order.quick else "")
 
 
 def _plans(beta: float, lanes: int, steps: int, seed: int) -> list[Watching]:

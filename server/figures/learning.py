@@ -67,20 +67,21 @@ def make(order: Order, work: Work) -> Sheet:
         shown = even_course(task, found[-1])
     with look():
         figure = _draw(plan, task, time, shown)
-    quick = f"quick: {runs(plan.lanes)} of {plan.steps:,} steps in place of 16 of 1,000,000\n"
+    quick = f"{runs(plan.lanes)} of {plan.steps:,} steps in place of 16 of 1,000,000"
     about = f"{runs(plan.lanes)}, {words_of(plan)}\n{preset_note(plan)}"
     more = [_GROW if task.measure.logarithmic else "", triangles(shown)]
-    notes = (quick if order.quick else "") + "\n".join(filter(None, (about, *more)))
+    notes = "\n".join(filter(None, (about, *more)))
     return Sheet(
-        figure, _table(task, time, shown), numbers | outcome(task, shown, found[-1]), notes
-    )
+        figure, _table(task, time, shown), numbers | outcome(task, shown, found[-1]), notes,
+        quick if order.quick else "",
+    )  # fmt: skip
 
 
 def _table(task: Task, time: Time, course: Course) -> Table:
     return {
         "step": course.steps.tolist(),
         **({} if time.key == "step" else {time.key: (course.steps / time.steps).tolist()}),
-        **course_columns(task.measure, course),
+        **course_columns(course),
     }  # fmt: skip
 
 

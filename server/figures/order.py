@@ -39,7 +39,7 @@ KINDS = {
         ("preset", "lanes", "epochs", "scheduler"),
     ),
     "pendulum": Kind(
-        "time to fall, each run and the median, for every preset",
+        "time to fall of frozen copies, each run and the median, for every preset",
         "pendulum",
         ("preset", "lanes", "hours", "scheduler"),
         least=1800,

@@ -1,8 +1,9 @@
 """Time to fall against simulated time, preset by preset: each run faint, the median bold.
 
-A point is the length of a block of time divided by the falls in it; where there was none it is
-drawn as a lower bound. Beside the curves stand policies that do not learn, measured in the same
-world: every thrust by chance, and the same thrust all the time.
+A point is of a frozen copy, as in the paper: 100 000 steps without learning, their time divided by
+the falls in them. Dashed is the median of the runs themselves while they learn: the length of a
+block of time, which grows, divided by the falls in it. Beside the curves stand policies that do
+not learn, measured in the same world: every thrust by chance, and the same thrust all the time.
 """
 
 from __future__ import annotations
@@ -15,20 +16,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.chance import NEXT_EPISODE, Draws
+from hebbviz.task import FROZEN_STEPS
 from server import palette
 from server.experiments import Curves, Plan
 from server.figures.curves import (
     course_columns,
     draw_course,
+    frozen_outcome,
+    known,
     outcome,
     preset_note,
     set_measure_axis,
     setting,
+    shown,
+    triangles,
     words_of,
 )
 from server.figures.length import cut, steps_of
-from server.figures.scales import Course, course, scales
-from server.figures.sheet import IDLE, TINY, Sheet, Table, blank, color, head, look, title
+from server.figures.scales import Course, course, evaluated, frozen_course, scales
+from server.figures.sheet import IDLE, TINY, Sheet, Table, blank, color, dark, head, look, title
 from sims.pendulum import Pendulum
 from sims.pendulum_physics import PLANT
 
@@ -56,16 +62,23 @@ WHY_FLAT = (
 _FLAT = 2.0
 """The highest median of a flat curve over its lowest, at most."""
 
+_FROZEN_SECONDS = FROZEN_STEPS * PLANT.time_step
+
 POINT = (
-    "A point is the time of a block divided by the falls in it (○ at least this: half of the runs "
-    "or more had none); blocks are equally long on the axis, so that they grow along it."
+    "A point is of a frozen copy, which is the network as it was then, but does not learn: as in "
+    f"the paper, the {_FROZEN_SECONDS:,.0f} s of {FROZEN_STEPS:,} steps, divided by the falls in "
+    "them."
+)
+LEARNING = (
+    "Dashed: the median of the runs while they learn, the time of a block divided by the falls in "
+    "it; blocks are equally long on the axis, so that they grow along it."
 )
 
 _QUICK_SECONDS = 10_000.0
 _SEGMENTS = 500
 _FIRST = round(10.0 / PLANT.time_step)
 """Steps: where the axis of time begins."""
-_PER_DECADE = 12
+_PER_DECADE, _QUICK_PER_DECADE = 12, 4
 _LOWEST, _HIGHEST = 0.15, 3e4
 """Time to fall in s: ends of the axis, unless a run gets higher."""
 _LETTERS = 64
@@ -76,30 +89,48 @@ _COLORS = {"quick": 5, "raw": 2, "paper": 4, "literal": 3}
 
 @dataclass(frozen=True)
 class _Curve:
-    """What came of a preset: the longest of its plans, and all of them together."""
+    """What came of a preset: the longest of its plans, and of all of them together the course of
+    frozen copies and, at the same steps, that of the runs while they learn.
+    """
 
     plan: Plan
     whole: Curves
-    course: Course
+    frozen: Course
+    learning: Course
 
 
 def make(order: Order, work: Work) -> Sheet:
     """Default 16 runs of every preset, for as long as each needs; quick 3 short ones."""
     presets = [order.preset] if order.preset else list(SECONDS)
     lanes = order.lanes or (3 if order.quick else 16)
-    plans = [_plans(preset, _steps(order, preset), lanes, order.seed) for preset in presets]
+    per_decade = _QUICK_PER_DECADE if order.quick else _PER_DECADE
+    plans = [
+        evaluated(
+            _plans(preset, _steps(order, preset), lanes, order.seed),
+            first=_FIRST, per_decade=per_decade,
+        )
+        for preset in presets
+    ]  # fmt: skip
     baselines = measured_baselines(order.seed, _QUICK_EPISODES if order.quick else _EPISODES)
     found = iter(work.curves([plan for scale in plans for plan in scale]))
-    curves = [_curve(scale, [next(found) for _ in scale]) for scale in plans]
+    curves = [_curve(scale, [next(found) for _ in scale], per_decade) for scale in plans]
     with look():
         figure = _draw(curves, baselines)
-    notes = [POINT, _not_drawn() if order.preset is None else preset_note(curves[0].plan)]
-    if order.quick:
-        short = f"{lanes} short run{'s' * (lanes > 1)}"
-        notes.insert(0, f"quick: {short} in place of 16 runs of up to 4·10⁶ simulated seconds")
+    notes = [
+        POINT, *{triangles(c.frozen) for c in curves} - {""}, LEARNING,
+        _not_drawn() if order.preset is None else preset_note(curves[0].plan),
+    ]  # fmt: skip
     if any(_is_flat_literal(c) for c in curves):
         notes.append(f"Preset literal: {WHY_FLAT[0].lower()}{WHY_FLAT[1:]}")
-    return Sheet(figure, _table(curves), _numbers(curves, baselines), "\n".join(notes))
+    longest = shown(max(SECONDS.get(preset, OTHER_SECONDS) for preset in presets))
+    quick = (
+        f"{lanes} short run{'s' * (lanes > 1)} in place of 16 runs of "
+        f"{'' if order.preset else 'up to '}{longest} simulated seconds"
+    )
+    return Sheet(
+        figure, _table(curves), _numbers(curves, baselines), "\n".join(notes),
+        quick if order.quick else "",
+    )  # fmt: skip
 
 
 def _not_drawn() -> str:
@@ -111,21 +142,21 @@ def _not_drawn() -> str:
 
 def _is_flat_literal(curve: _Curve) -> bool:
     """Whether the words on why it is flat are true of it."""
-    median = curve.course.median
+    median = curve.frozen.median
     return curve.plan.preset == "literal" and bool(median.max() < _FLAT * median.min())
 
 
-def _curve(scale: Sequence[Plan], found: Sequence[Curves]) -> _Curve:
-    plan = scale[-1]
-    shown = course(plan.make_task(), found, first=_FIRST, per_decade=_PER_DECADE)
-    return _Curve(plan, found[-1], shown)
+def _curve(scale: Sequence[Plan], found: Sequence[Curves], per_decade: int) -> _Curve:
+    plan, task = scale[-1], scale[-1].make_task()
+    learning = course(task, found, first=_FIRST, per_decade=per_decade)
+    return _Curve(plan, found[-1], frozen_course(task, found), learning)
 
 
 def _numbers(curves: Sequence[_Curve], baselines: dict[str, float]) -> dict[str, Any]:
     presets = {
         c.plan.preset: {
             **setting(c.plan), "simulated_s": c.plan.steps * PLANT.time_step,
-            **outcome(c.plan.make_task(), c.course, c.whole),
+            **outcome(c.plan.make_task(), c.learning, c.whole), **frozen_outcome(c.frozen),
         }
         for c in curves
     }  # fmt: skip
@@ -207,14 +238,20 @@ def _draw(curves: Sequence[_Curve], baselines: dict[str, float]) -> Figure:
     for axes in grid[:, 0]:
         set_measure_axis(axes, Pendulum.measure)
     last = max(c.plan.steps for c in curves) * PLANT.time_step
-    highest = max(_HIGHEST, 1.5 * max(c.course.values.max() for c in curves))
+    highest = max(_HIGHEST, 1.5 * max(_highest(c) for c in curves))
     grid[0, 0].set(
         ylim=(_LOWEST, highest), xlim=(min(_FIRST * PLANT.time_step, last / 100.0), last)
     )
     lanes = curves[0].plan.lanes
     each = f"each of {lanes} runs, and the median bold" if lanes > 1 else "1 run"
-    title(figure, f"Pendulum: time to fall, {each}")
+    title(figure, f"Pendulum: time to fall of frozen copies, {each}")
     return figure
+
+
+def _highest(curve: _Curve) -> float:
+    """Of what is drawn."""
+    drawn = np.concatenate([curve.frozen.values.ravel(), curve.learning.median])
+    return float(drawn[np.isfinite(drawn)].max(initial=0.0))
 
 
 def _panel(axes: Axes, curve: _Curve, baselines: dict[str, float]) -> None:
@@ -222,7 +259,9 @@ def _panel(axes: Axes, curve: _Curve, baselines: dict[str, float]) -> None:
     shade = color(palette.SERIES[_COLORS.get(preset, 5)])
     for line in _LINES:
         axes.axhline(baselines[line.key], color=IDLE, lw=0.9, ls=(0, line.dashes), zorder=1)
-    draw_course(axes, curve.course, PLANT.time_step, shade)
+    draw_course(axes, curve.frozen, PLANT.time_step, shade)
+    times = curve.learning.steps * PLANT.time_step
+    axes.plot(*known(times, curve.learning.median), color=dark(shade), lw=1.0, ls=(0, (3, 1.5)))
     axes.set_xscale("log")
     gains = ", ".join(f"{i.gain:g}" for i in curve.plan.make_task().inputs[::2])
     rule = fill(words_of(curve.plan), _LETTERS)
@@ -241,9 +280,10 @@ def _table(curves: Sequence[_Curve]) -> Table:
     columns: dict[str, list[Any]] = {}
     for c in curves:
         part = {
-            "preset": [c.plan.preset] * len(c.course.steps),
-            "simulated_s": (c.course.steps * PLANT.time_step).tolist(),
-            **course_columns(Pendulum.measure, c.course),
+            "preset": [c.plan.preset] * len(c.frozen.steps),
+            "simulated_s": (c.frozen.steps * PLANT.time_step).tolist(),
+            **course_columns(c.frozen, "frozen_"),
+            **course_columns(c.learning),
         }
         for name, values in part.items():
             columns.setdefault(name, []).extend(values)

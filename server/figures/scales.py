@@ -81,14 +81,41 @@ def course(task: Task, curves: Sequence[Curves], *, first: int, per_decade: int)
 
     What was before it is one stretch more.
     """
-    ends = np.concatenate([c.end for c in curves])
     totals = np.concatenate(
         [np.cumsum([c.reward, c.broadcast, c.ended], axis=2) for c in curves], axis=2
     )  # (reward, broadcast, ended), lanes, segments: since the start
-    ends, at = np.unique(ends, return_index=True)
-    late = np.searchsorted(ends, min(first, ends[-1]))
-    chosen = late + spaced(ends[late:], per_decade)
-    return measured(task, ends[chosen], totals[:, :, at[chosen]])
+    steps, at = _chosen([c.end for c in curves], first, per_decade)
+    return measured(task, steps, totals[:, :, at])
+
+
+def _chosen(ends: Sequence[Whole], first: int, per_decade: int) -> tuple[Whole, Whole]:
+    """Where the stretches of a course end, and the places of these steps in all `ends`."""
+    steps, at = np.unique(np.concatenate(ends), return_index=True)
+    late = np.searchsorted(steps, min(first, steps[-1]))
+    chosen = late + spaced(steps[late:], per_decade)
+    return steps[chosen], at[chosen]
+
+
+def evaluated(plans: Sequence[SomePlan], *, first: int, per_decade: int) -> list[SomePlan]:
+    """Plans of several scales, with frozen copies evaluated where the stretches of `course` end."""
+    ends = [plan.segment_steps * np.arange(1, plan.segments + 1) for plan in plans]
+    steps, _ = _chosen(ends, first, per_decade)
+    found: list[SomePlan] = []
+    for plan, own in zip(plans, ends, strict=True):
+        found.append(replace(plan, evaluate_at=tuple(np.intersect1d(steps, own).tolist())))
+        steps = np.setdiff1d(steps, own)
+    return found
+
+
+def frozen_course(task: Task, curves: Sequence[Curves]) -> Course:
+    """The measure of frozen copies, at the steps at which they were evaluated."""
+    steps = np.concatenate([c.evaluated_at for c in curves])
+    order = np.argsort(steps)
+    figures = {
+        key: np.concatenate([c.figures[key] for c in curves if key in c.figures], axis=1)[:, order]
+        for key in task.measure.keys
+    }
+    return Course(task.measure, steps[order], figures)
 
 
 def even_course(task: Task, curves: Curves) -> Course:

@@ -98,13 +98,15 @@ class Sheet:
     """A finished figure.
 
     `table` holds the columns of its CSV, of one length; `numbers` what it comes to, fit for
-    strict JSON; `note` what else must be said, above the small print that says its origin.
+    strict JSON; `note` what else must be said, above the small print that says its origin; `quick`
+    what is less than the whole figure has, which all of its files say.
     """
 
     drawing: Figure
     table: Table
     numbers: dict[str, Any]
     note: str = ""
+    quick: str = ""
 
 
 @contextlib.contextmanager
@@ -137,9 +139,10 @@ def save(sheet: Sheet, folder: Path, name: str, origin: Origin) -> list[Path]:
 
     They get their names when all of them are done, in place of older ones.
     """
-    about = origin.items()
+    about = origin.items() | ({"quick": sheet.quick} if sheet.quick else {})
+    note = f"quick: {sheet.quick}\n{sheet.note}" if sheet.quick else sheet.note
     with look():
-        said = [row for line in sheet.note.splitlines() for row in wrap(line, _LETTERS)]
+        said = [row for line in note.splitlines() for row in wrap(line, _LETTERS)]
         made_by = _made_by(origin)
         _make_room(sheet.drawing, len(said) + len(made_by))
         _settle(sheet.drawing)

@@ -76,11 +76,12 @@ def make(order: Order, work: Work) -> Sheet:
         figure = _draw(plan, curves, task)
     done = plan.steps // task.epoch
     quick = (
-        f"quick: preset {plan.preset}, {runs(plan.lanes)} of {done} epochs in place of preset "
-        f"{_FULL.preset}, {_FULL.lanes} runs of {_FULL.epochs:,}\n"
+        f"preset {plan.preset}, {runs(plan.lanes)} of {done} epochs in place of preset "
+        f"{_FULL.preset}, {_FULL.lanes} runs of {_FULL.epochs:,}"
     )
-    notes = f"{quick if order.quick else ''}{preset_note(plan)}\n{FROZEN}"
-    return Sheet(figure, _table(curves, task), _numbers(plan, curves, task), notes)
+    notes = f"{preset_note(plan)}\n{FROZEN}"
+    numbers = _numbers(plan, curves, task)
+    return Sheet(figure, _table(curves, task), numbers, notes, quick if order.quick else "")
 
 
 def _numbers(plan: Plan, curves: Curves, task: Sonar) -> dict[str, Any]:

@@ -86,7 +86,8 @@ def make(order: Order, work: Work) -> Sheet:
         figure = _draw(moments)
     names = Moment.__dataclass_fields__
     table = {n: [_plain(getattr(m, n)) for m in moments] for n in names}
-    return Sheet(figure, table, _numbers(moments), _note())
+    quick = "the same as without, for the script takes no time" if order.quick else ""
+    return Sheet(figure, table, _numbers(moments), _note(), quick)
 
 
 def _note() -> str:
