@@ -39,6 +39,11 @@ class Notes(NamedTuple):
             np.zeros((near, neurons)), np.zeros((near, numbers or 0)),
         )  # fmt: skip
 
+    def part(self, piece: slice) -> Notes:
+        """The room for some of the steps, and none where there is none."""
+        fired, *others = self
+        return Notes(fired[piece], *(rows[piece] for rows in others))
+
 
 class Sums(NamedTuple):
     """What the engine sums up over steps: spikes, least and greatest v and z, rows of probes."""

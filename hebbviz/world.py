@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from hebbviz.chance import FIRST_EPISODE, NEXT_EPISODE, Draws
 from hebbviz.notes import Notes, Summing
+from hebbviz.pieces import Pieces, tell
 from hebbviz.task import CompiledTask, Task
 from hebbviz.tile import Tile
 from hebbviz.tiles import Tiles
@@ -147,6 +148,7 @@ class PythonWorld(World):
                 notes.worlds[row] = reached[watch]
             self._states = states
             self.step += 1
+            tell(row + 1, steps)
 
     def _act(self) -> tuple[list[Array], list[Array]]:
         """Let the network act and hear what comes of it; returns the states that are reached, and
@@ -186,6 +188,7 @@ class CompiledWorld(World):
     def __init__(self, task: CompiledTask, tiles: Tiles) -> None:
         super().__init__(task, tiles)
         self._answer, self._data = task.answer, np.array(task.data())
+        self._pieces = Pieces()
 
     @property
     def states(self) -> Array:
@@ -204,11 +207,8 @@ class CompiledWorld(World):
         since.keep()
         before = self.state(watch) if len(notes.worlds) else np.zeros(0)
         try:
-            for tile, lane in self._tiles.watched(watch):
-                tile.run(
-                    steps, self.step, self._answer, self._data, instead=instead, watch=lane,
-                    notes=notes, sums=since.sums,
-                )  # fmt: skip
+            for piece in self._pieces.of(steps):
+                self._run(piece, instead, watch, notes, since)
             if len(notes.worlds):
                 self._note_ends(before, watch, notes)
         except BaseException:
@@ -216,6 +216,14 @@ class CompiledWorld(World):
             since.back()
             raise
         self.step += steps
+
+    def _run(self, piece: slice, instead: Array, watch: int, notes: Notes, since: Summing) -> None:
+        """Some of the steps that are asked for."""
+        for tile, lane in self._tiles.watched(watch):
+            tile.run(
+                piece.stop - piece.start, self.step + piece.start, self._answer, self._data,
+                instead=instead[piece], watch=lane, notes=notes.part(piece), sums=since.sums,
+            )  # fmt: skip
 
     def _note_ends(self, before: Array, watch: int, notes: Notes) -> None:
         """Note the state that ended an episode, in place of the new one that compiled code left.

@@ -47,10 +47,15 @@ if TYPE_CHECKING:
 
     from hebbviz.learner import Learner
     from server.app import Site
+    from server.bench import Speed
     from server.entrance import Access
     from server.interrupts import Interrupts
     from server.recording.recordings import Options
     from server.train import Steps, Training
+
+
+GRACE_SECONDS = 1.5
+"""Work that is asked to stop may take so long to keep what was done."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -209,10 +214,19 @@ def _access(args: argparse.Namespace) -> Access:
 def bench(args: argparse.Namespace) -> int:
     """Measure speeds."""
     from server.bench import contestants, figures, race, table
+    from server.interrupts import Interrupts
     from server.train import announced_compiling
 
-    with announced_compiling(lambda: tell("compiling for this machine, only this first time")):
-        speeds = race(contestants(), args.seconds)
+    def work() -> dict[str, Speed]:
+        with announced_compiling(lambda: tell("compiling for this machine, only this first time")):
+            return race(contestants(), args.seconds)
+
+    with Interrupts() as interrupts:
+        try:
+            speeds = interrupts.prepare(work)
+        except KeyboardInterrupt:
+            tell("stopped; nothing was measured")
+            _leave(128 + (interrupts.number or signal.SIGINT))
     say(json.dumps(figures(speeds), allow_nan=False) if args.json else table(speeds))
     return FINE
 
@@ -253,7 +267,7 @@ def train(args: argparse.Namespace) -> int:
         with prints_aside(), recorded:
             training = _run(args, learner, recorded, interrupts, bar=is_watched)
         if training.finished:
-            code = _report(args, learner, training)
+            code = _report(args, learner, training, interrupts)
         else:
             saved = _save(args, learner) or "not saved, for want of --save"
             tell(f"stopped at step {learner.step:,}; {saved}")
@@ -292,16 +306,29 @@ def _run(
         raise InputError(f"{what}, at step {learner.step:,}; {saved}") from error
 
 
-def _report(args: argparse.Namespace, learner: Learner, training: Training) -> int:
-    from server.train import describe, figures_of, own_figures
+def _report(
+    args: argparse.Namespace, learner: Learner, training: Training, interrupts: Interrupts
+) -> int:
+    """Save, then find out how it does, then print. A signal ends the second at once."""
+    from server.train import describe, figures_of, own_figures, shown_calls
 
     failure = None
     try:
         saved = _save(args, learner)
     except OSError as error:  # the figures are worth having all the same
         saved, failure = None, f"cannot save to {args.save}: {error.strerror or error}"
-    with user_can_mend(args), prints_aside():
-        own = own_figures(learner, training)
+
+    def judge() -> dict[str, Any]:
+        with shown_calls("evaluating a frozen copy", shown=sys.stderr.isatty()):
+            return own_figures(learner, training)
+
+    try:
+        with user_can_mend(args), prints_aside():
+            own = interrupts.prepare(judge)
+    except KeyboardInterrupt:
+        how = failure or saved or "not saved, for want of --save"
+        tell(f"stopped at step {learner.step:,}, before a frozen copy was evaluated; {how}")
+        _leave(128 + (interrupts.number or signal.SIGINT))
     figures = figures_of(learner, training, task_name(args, learner))
     if args.json:
         say(json.dumps(own | figures, allow_nan=False))
@@ -386,11 +413,11 @@ def _experiment(
     with Interrupts() as interrupts:
         try:
             with user_can_mend(args), prints_aside():
-                made = work(interrupts.stop)
+                made = interrupts.prepare(lambda: work(interrupts.stop), grace=GRACE_SECONDS)
         except WorkersFailed as error:
             return fail(FAILED, f"{error}; {kept}")
         except KeyboardInterrupt:
-            tell(f"stopped at once; {kept}")
+            tell(f"stopped at once; {kept}")  # its last few seconds of work are lost
             _leave(128 + (interrupts.number or signal.SIGINT))
     if made is None:
         tell(f"stopped; {kept}")

@@ -44,11 +44,12 @@ class Interrupts:
         for number, handler in self._before.items():
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
-    def prepare(self, make: Callable[[], T]) -> T:
+    def prepare(self, make: Callable[[], T], *, grace: float = 0.0) -> T:
         """What `make` returns, or KeyboardInterrupt as soon as `stop` is set.
 
         It is called in a thread of its own: a compiler cannot be interrupted for many seconds,
-        and swallows what is raised in it.
+        and swallows what is raised in it. Once `stop` is set it may have a `grace` of so many
+        seconds to end by itself. Whoever leaves it behind ends the program by `os._exit`.
         """
         made: list[T] = []
         failures: list[BaseException] = []
@@ -64,7 +65,9 @@ class Interrupts:
         while thread.is_alive():
             thread.join(0.05)
             if self.stop.is_set():
-                raise KeyboardInterrupt
+                thread.join(grace)
+                if thread.is_alive() or not grace:
+                    raise KeyboardInterrupt
         if failures:
             raise failures[0]
         return made[0]

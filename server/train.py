@@ -15,6 +15,7 @@ from tqdm import tqdm  # type: ignore[import-untyped]
 
 import hebbviz
 from hebbviz.learner import TaskError
+from hebbviz.pieces import between_pieces
 from hebbviz.rules.paper import PAPER
 from server import events
 from server.making import maker
@@ -202,6 +203,24 @@ def _progress(steps: int, *, shown: bool) -> Iterator[Callable[[int], object]]:
         return
     with tqdm(total=steps, unit=" steps", unit_scale=True, file=sys.stderr) as bar:
         yield bar.update
+
+
+@contextlib.contextmanager
+def shown_calls(what: str, *, shown: bool) -> Iterator[None]:
+    """Show on stderr how far the long calls of learners in here are, one after the other."""
+    if not shown:
+        yield
+        return
+    with tqdm(
+        desc=what, unit=" steps", unit_scale=True, file=sys.stderr, delay=1.0, leave=False
+    ) as bar:  # fmt: skip
+
+        def show(made: int, steps: int) -> None:
+            bar.total = steps
+            bar.update(made - bar.n)
+
+        with between_pieces(show):
+            yield
 
 
 def own_figures(learner: Learner, training: Training) -> Figures:

@@ -40,8 +40,8 @@ def run(
     """Bring a plan to its end, from where `folder` has it.
 
     What is done is kept in `folder`, in a folder of the plan's own; None keeps nothing. Once
-    `stop` is set, the shares under way are waited for and kept. `progress` is called with the
-    fraction that is done, from 0 to 1, at the start and whenever a share is.
+    `stop` is set, the shares under way are ended soon, waited for and kept. `progress` is called
+    with the fraction that is done, from 0 to 1, at the start and whenever a share is.
 
     Raises
     ------
@@ -132,11 +132,12 @@ class _Driver:
             (k, tile)
             for k, plan in enumerate(plans)
             for tile in self._tiles[k].values()
-            if tile.step < plan.steps
+            if not tile.is_done(plan)
         ]
         self._running: dict[Future[Tile], int] = {}
 
     def run(self, stop: threading.Event, progress: Callable[[float], object]) -> None:
+        self._workers.hurry(on=False)
         progress(self._fraction())
         while self._waiting or self._running:
             if not stop.is_set():
@@ -144,6 +145,8 @@ class _Driver:
             elif not self._running or self._workers.count() == 0:  # nobody would bring them back
                 self._cancel()
                 raise Interrupted
+            else:
+                self._workers.hurry(on=True)
             for share in wait(self._running, _LOOK_SECONDS, FIRST_COMPLETED).done:
                 self._take(self._running.pop(share), self._workers.result(share))
                 progress(self._fraction())
@@ -179,7 +182,7 @@ class _Driver:
         store = self._stores[k]
         if store is not None:
             store.write(tile)
-        if tile.step < self._plans[k].steps:
+        if not tile.is_done(self._plans[k]):
             self._waiting.append((k, tile))
 
     def _fraction(self) -> float:

@@ -6,9 +6,11 @@ it. So any worker can go on from there, and one that dies costs no more than its
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 import hebbviz
 from hebbviz.learner import Learner
 from hebbviz.moments import Keyframe
+from hebbviz.pieces import Stopped, stop_when
 from hebbviz.rules.paper import PAPER
 from server.experiments.plan import Curves, Plan
 from server.stretches import stretches
@@ -24,7 +27,9 @@ from server.terminal import WorkersFailed, place_in
 Array = NDArray[np.float64]
 
 STRETCH_SECONDS = 0.25
-"""A share may last longer than it was to by about this, or by an evaluation."""
+"""A share may last longer than it was to by about this, or by an evaluation; one that is stopped by
+this alone.
+"""
 
 
 class WrongVersion(WorkersFailed):
@@ -44,7 +49,7 @@ class Tile:
 
     `totals` (segments done, 3, lanes) are those since the start, of reward, broadcast reward and
     ended episodes, at the end of each segment; `figures` (evaluations done, lanes) by the names of
-    `Task.evaluate`.
+    `Task.evaluate`. `pending`: the evaluation at this step, if there is one, was not made yet.
     """
 
     first_lane: int
@@ -52,6 +57,10 @@ class Tile:
     keyframe: Keyframe | None = None
     totals: Array = field(default_factory=lambda: np.zeros((0, 3, 0)))
     figures: Mapping[str, Array] = field(default_factory=dict)
+    pending: bool = True
+
+    def is_done(self, plan: Plan) -> bool:
+        return self.step >= plan.steps and not self.pending
 
     @property
     def step(self) -> int:
@@ -86,8 +95,25 @@ class Tile:
         )
 
 
-def bring_on(plan: Plan, tile: Tile, seconds: float, version: str, digest: str) -> Tile:
-    """The tile after about `seconds` more, or at the plan's end.
+class Stop(Protocol):
+    """An event of threads, or of processes."""
+
+    def is_set(self) -> bool: ...
+
+
+_stop: Stop = threading.Event()
+
+
+def obey(stop: Stop) -> None:
+    """End the shares of this process, from now on, soon after `stop` is set."""
+    global _stop  # noqa: PLW0603  # it cannot be sent with a share
+    _stop = stop
+
+
+def bring_on(
+    plan: Plan, tile: Tile, seconds: float, version: str, digest: str, stop: Stop | None = None
+) -> Tile:
+    """The tile after about `seconds` more, or at the plan's end, or soon after `stop` is set.
 
     What it has come through is a function of the plan and its lanes alone: how it was cut into
     shares tells only where a share ends. `version` of the program and `digest` of the plan are
@@ -100,7 +126,7 @@ def bring_on(plan: Plan, tile: Tile, seconds: float, version: str, digest: str) 
         )
     check_unchanged(plan, digest)
     try:
-        share = _Share(plan, tile)
+        share = _Share(plan, tile, _stop if stop is None else stop)
         check_unchanged(plan, digest)  # nor was it edited since: this text is the one that was run
         share.run(time.monotonic() + seconds)
     except Exception as error:
@@ -123,27 +149,32 @@ def check_unchanged(plan: Plan, digest: str) -> None:
 class _Share:
     """A tile at work."""
 
-    def __init__(self, plan: Plan, tile: Tile) -> None:
-        self._plan, self._tile = plan, tile
+    def __init__(self, plan: Plan, tile: Tile, stop: Stop) -> None:
+        self._plan, self._tile, self._stop = plan, tile, stop
         self._learner = tile.learner(plan)
         self._totals = list(tile.totals)
         self._figures = {name: list(values) for name, values in tile.figures.items()}
-        if tile.keyframe is None:
-            self._evaluate()
+        self._pending = tile.pending
 
     def run(self, deadline: float) -> None:
-        """Go on until the deadline, or to the end of the plan."""
+        """Go on until the deadline, or to the end of the plan, or until it is stopped."""
         plan, learner = self._plan, self._learner
-        while learner.step < plan.steps:
+
+        def is_over() -> bool:
+            return time.monotonic() > deadline or self._stop.is_set()
+
+        self._evaluate()
+        while learner.step < plan.steps and not self._pending:
             left = plan.segment_steps - learner.step % plan.segment_steps
             for steps in stretches(left, STRETCH_SECONDS):
                 learner.skip(steps)
-                if time.monotonic() > deadline:
+                if is_over():
                     break
             if learner.step % plan.segment_steps == 0:
                 self._totals.append(self._tally())
+                self._pending = True
                 self._evaluate()
-            if time.monotonic() > deadline:
+            if is_over():
                 break
 
     def tile(self) -> Tile:
@@ -151,13 +182,22 @@ class _Share:
         return Tile(
             tile.first_lane, tile.lanes, replace(self._learner.keyframe(), rule=PAPER),
             np.array(self._totals).reshape(-1, 3, tile.lanes),
-            {name: np.array(values) for name, values in self._figures.items()},
+            {name: np.array(values) for name, values in self._figures.items()}, self._pending,
         )  # fmt: skip
 
     def _tally(self) -> Array:
         return np.array([[t.reward, t.broadcast, t.ended] for t in self._learner.tallies()]).T
 
     def _evaluate(self) -> None:
+        """Make the evaluation that is pending, if there is one; if it is stopped, it stays so."""
+        if not self._pending:
+            return
         if self._plan.evaluates_at(self._learner.step):
-            for name, values in self._learner.task.evaluate(self._learner).items():
+            try:
+                with stop_when(self._stop.is_set):
+                    found = self._learner.task.evaluate(self._learner)
+            except Stopped:
+                return
+            for name, values in found.items():
                 self._figures.setdefault(name, []).append(values)
+        self._pending = False

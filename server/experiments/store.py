@@ -15,7 +15,7 @@ from server.experiments.plan import Plan
 from server.experiments.share import Tile
 from server.terminal import tell, writing
 
-FORMAT = 1
+FORMAT = 2
 PROGRAM = "hebbviz lanes"
 _KEYFRAME = "keyframe "
 
@@ -47,6 +47,7 @@ class Store:
         header = {
             "program": PROGRAM, "format": FORMAT, "plan": self._digest,
             "first_lane": tile.first_lane, "lanes": tile.lanes, "figures": list(tile.figures),
+            "pending": tile.pending,
         }  # fmt: skip
         arrays = {_KEYFRAME + name: value for name, value in _numbers(tile.keyframe).items()}
         arrays |= {f"figure {k}": values for k, values in enumerate(tile.figures.values())}
@@ -67,7 +68,7 @@ class Store:
         }
         keyframe = replace(self._plan.learner(first, lanes).keyframe(), rule=PAPER, **kept)
         figures = {name: arrays[f"figure {k}"] for k, name in enumerate(header["figures"])}
-        return Tile(first, lanes, keyframe, arrays["totals"], figures)
+        return Tile(first, lanes, keyframe, arrays["totals"], figures, bool(header["pending"]))
 
 
 def _numbers(keyframe: Keyframe) -> dict[str, Any]:

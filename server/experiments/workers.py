@@ -30,13 +30,13 @@ from tqdm import tqdm  # type: ignore[import-untyped]
 import hebbviz
 from hebbviz.task import CompiledTask
 from server.experiments.plan import Plan
-from server.experiments.share import Tile, bring_on
+from server.experiments.share import Stop, Tile, bring_on, obey
 from server.interrupts import SIGNALS
 from server.output import Stream
 from server.terminal import InputError, WorkersFailed, tell
 
 SHARE_SECONDS = 3.0
-"""How long a worker is busy with a share: what a kill may cost, and Ctrl-C may take."""
+"""How long a worker is busy with a share: what a kill may cost."""
 
 CONNECT_SECONDS = 10.0
 COUNT_SECONDS = 0.5
@@ -58,6 +58,9 @@ class Workers(Protocol):
 
     def result(self, share: Future[Tile]) -> Tile:
         """What came of a share that is done; raises what it raised, and LostWorkers."""
+
+    def hurry(self, on: bool) -> None:
+        """Have shares end as soon as they can, where they can be told so, or no longer."""
 
 
 @contextlib.contextmanager
@@ -83,6 +86,7 @@ class _Cores:
     def __init__(self) -> None:
         self._cores = core_count()
         self._executors: dict[bool, Executor] = {}
+        self._stop = multiprocessing.get_context("spawn").Event()
 
     def count(self) -> int:
         return self._cores
@@ -91,8 +95,15 @@ class _Cores:
         threads = isinstance(plan.make_task(), CompiledTask)
         if threads not in self._executors:
             self._executors[threads] = self._threads() if threads else self._processes()
+        stop = (self._stop,) if threads else ()  # a process has it from its beginning
         with contextlib.nullcontext() if threads else _signals_held():  # by those that start here
-            return _submit(self._executors[threads], plan, tile, digest)
+            return _submit(self._executors[threads], plan, tile, digest, *stop)
+
+    def hurry(self, on: bool) -> None:
+        if on:
+            self._stop.set()
+        else:
+            self._stop.clear()
 
     def result(self, share: Future[Tile]) -> Tile:
         try:
@@ -111,8 +122,9 @@ class _Cores:
 
     def _processes(self) -> Executor:
         return ProcessPoolExecutor(
-            self._cores, multiprocessing.get_context("spawn"), initializer=_begin_process
-        )
+            self._cores, multiprocessing.get_context("spawn"), initializer=_begin_process,
+            initargs=(self._stop,),
+        )  # fmt: skip
 
 
 def core_count() -> int:
@@ -144,8 +156,9 @@ def _end_processes(executor: ProcessPoolExecutor) -> None:
     executor.shutdown(cancel_futures=True)
 
 
-def _begin_process() -> None:
+def _begin_process(stop: Stop) -> None:
     """End with the program that began this process, however it ends, whose stdout is not ours."""
+    obey(stop)
     sys.stdout = sys.stderr = cast(TextIO, Stream(sys.stderr))
     parent = multiprocessing.parent_process()
     assert parent is not None
@@ -222,6 +235,9 @@ class _Cluster:
         except self._killed as error:  # Dask gives a share up that several died at
             raise LostWorkers(f"a share of the work failed: {error}") from error
 
+    def hurry(self, on: bool) -> None:
+        """They cannot be told so: their shares are over after a few seconds."""
+
     def _lost(self) -> LostWorkers:
         return LostWorkers(f"the Dask scheduler at {self._address} is gone")
 
@@ -243,5 +259,5 @@ def _is_address(text: str) -> bool:
     return bool(host.strip()) and 0 < port < 2**16
 
 
-def _submit(executor: Executor, plan: Plan, tile: Tile, digest: str) -> Future[Tile]:
-    return executor.submit(bring_on, plan, tile, SHARE_SECONDS, hebbviz.__version__, digest)
+def _submit(executor: Executor, plan: Plan, tile: Tile, digest: str, *stop: Stop) -> Future[Tile]:
+    return executor.submit(bring_on, plan, tile, SHARE_SECONDS, hebbviz.__version__, digest, *stop)
