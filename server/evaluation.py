@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.learner import Learner
+from hebbviz.pieces import Stopped, between_pieces
 from hebbviz.task import CompiledTask
 from server.run import MakeTask
 
@@ -19,6 +20,8 @@ PAUSE_SECONDS = 2.0
 """Between two evaluations of a task that asks for them all the time."""
 PAUSE_SHARE = 3.0
 """The pause lasts so many times as long as the evaluation: many lanes must not hold up the run."""
+SHOWN_SECONDS = 1.0
+"""How far an evaluation is can be seen once it has lasted so long."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,8 @@ class Evaluator:
         self._lock = threading.Lock()
         self._done: list[Evaluation] = []
         self._run = object()
+        self.progress: tuple[int, int] | None = None
+        """Steps made, and to be made, in an evaluation that takes long."""
 
     def is_free(self) -> bool:
         return self._thread is None or not self._thread.is_alive()
@@ -67,13 +72,25 @@ class Evaluator:
 
     def _evaluate(self, copy: Learner, run: object) -> None:
         step, began, figures = copy.step, time.monotonic(), {}
+
+        def look(made: int, steps: int) -> None:
+            if time.monotonic() - began > SHOWN_SECONDS:
+                self.progress = made, steps
+            if run is not self._run:
+                raise Stopped
+
         try:
+            with between_pieces(look):
+                found = copy.task.evaluate(copy)
             figures = {
                 name: np.array(values, dtype=np.float64).reshape(copy.lanes)
-                for name, values in copy.task.evaluate(copy).items()
+                for name, values in found.items()
             }
+        except Stopped:  # it is of a run that is no more
+            pass
         except Exception as error:  # of a task of the user's own, say
             self._notice(f"the evaluation of a frozen copy failed: {type(error).__name__}: {error}")
+        self.progress = None
         self._ended_at = time.monotonic()
         self._lasted = self._ended_at - began
         with self._lock:

@@ -126,7 +126,20 @@ def others(picture: Picture) -> dict[str, Rgb]:
 
 
 def evaluated(picture: Picture) -> str:
-    """What the latest frozen copy did, in the watched lane, and in the middle of several."""
+    """What the latest frozen copy did, in the watched lane, and in the middle of several; and how
+    far the next one is, if it takes long.
+    """
+    return " ".join(filter(None, (_last_evaluated(picture), _being_evaluated(picture))))
+
+
+def _being_evaluated(picture: Picture) -> str:
+    if picture.evaluating is None:
+        return ""
+    made, steps = picture.evaluating
+    return f"A frozen copy is being evaluated: step {made:,} of {steps:,}."
+
+
+def _last_evaluated(picture: Picture) -> str:
     if not picture.evaluations:
         return ""
     latest = picture.evaluations[-1]

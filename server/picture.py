@@ -50,7 +50,7 @@ class Picture:
     `recent` holds every one of the latest steps up to `shown`, as far as they follow on one
     another; `shown_trail` and `live_trail` the latest frames, likewise, so that a view that skips
     pictures misses nothing. `made_at` is time.monotonic(). `preparing` says what a command
-    still waits for.
+    still waits for; `evaluating` steps made and to be made of a long evaluation.
     """
 
     number: int
@@ -81,6 +81,7 @@ class Picture:
     watch_speed: float
     undo_words: str | None
     evaluations: tuple[Evaluation, ...]
+    evaluating: tuple[int, int] | None
     estimate: Estimate | None
     run_number: int
     error: str | None

@@ -131,6 +131,7 @@ class Worker(threading.Thread):
             watch_speed=showing.watch.speed,
             undo_words=run.undo_words,
             evaluations=session.evaluator.results(),
+            evaluating=session.evaluator.progress,
             estimate=session.estimating.estimate,
             run_number=session.run_number,
             error=session.error,

@@ -18,7 +18,7 @@ from hebbviz.learner import Learner, TaskError
 from hebbviz.rules.baseline import Baseline
 from hebbviz.rules.paper import PAPER
 from hebbviz.task import Input, Output, Preset, Tally, Task
-from server import session
+from server import evaluation, session
 from server.commands import (
     Choose,
     Command,
@@ -585,6 +585,26 @@ def test_an_evaluation_that_fails_is_a_notice() -> None:
         assert "KeyError" in b.notices[0]
         b.send(Evaluate())
         b.until(lambda _: len(b.notices) == 2)
+
+
+def test_a_long_evaluation_says_how_far_it_is_and_ends_with_its_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(evaluation, "SHOWN_SECONDS", 0.0)
+
+    class Patient(Pendulum):
+        def evaluate(self, learner: Learner) -> Any:
+            learner.frozen_copy().skip(10**9)
+
+    with bench(Run(Learner(Patient()), lambda *_: Patient()), Pause(paused=True)) as b:
+        b.send(Evaluate())
+        picture = b.until(lambda p: p.evaluating is not None)
+        assert re.fullmatch(
+            r"A frozen copy is being evaluated: step [\d,]+ of 1,000,000,000\.", evaluated(picture)
+        )
+        b.send(Reset())
+        b.until(lambda p: p.evaluating is None)
+        assert not b.notices
 
 
 def test_a_frozen_copy_says_how_often_it_fell_and_how_sure_that_is() -> None:
