@@ -1,4 +1,4 @@
-"""How functions are compiled here: cached on disk, strict IEEE arithmetic, without the GIL.
+"""How functions are compiled here: strict IEEE arithmetic, without the GIL, cached on disk.
 
 No `fastmath` and no check for division by zero. What is cached is bound to all it was made of, see
 `stamp`: where any of that has changed, it is compiled anew.
@@ -9,11 +9,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from numba import njit, types
+from numba import config, njit, types
 from numba.core.ccallback import CFunc
 from numba.extending import intrinsic
 
+from hebbviz.cache import cache_of
+from hebbviz.limits import CompilerOff
 from hebbviz.stamp import stamp
+
+if getattr(config, "DISABLE_JIT", 0):
+    raise CompilerOff(
+        "NUMBA_DISABLE_JIT is set, and no network runs without the compiler: unset it"
+    )
 
 INLINED: Any = {
     "forceinline": True, "error_model": "numpy",
@@ -27,8 +34,8 @@ C would need to call it is left out: a third of the time to compile went into th
 
 def compiled(function: Callable[..., Any]) -> Any:
     """For a function that Python calls, or one of a task that is too large to be `inlined`."""
-    dispatcher: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
-    _bind(dispatcher, function)
+    dispatcher: Any = njit(nogil=True, error_model="numpy")(function)
+    dispatcher._cache = cache_of(function, stamp(function))  # noqa: SLF001
     return dispatcher
 
 
@@ -43,16 +50,11 @@ def called(signature: Any, *, allocates: bool = False) -> Callable[[Callable[...
     def compile_now(function: Callable[..., Any]) -> Any:
         """What `numba.cfunc` does, which has no place to say what the cache is bound to."""
         callback: Any = CFunc(function, (signature.args, signature.return_type), {}, options)
-        callback.enable_caching()
-        _bind(callback, function)
+        callback._cache = cache_of(function, stamp(function))  # noqa: SLF001
         callback.compile()
         return callback
 
     return compile_now
-
-
-def _bind(cached: Any, function: Callable[..., Any]) -> None:
-    cached._cache._cache_file._source_stamp = stamp(function)  # noqa: SLF001
 
 
 _WIDEST_VECTORS = '"prefer-vector-width"="512"'

@@ -17,6 +17,10 @@ LAST_STEP = 2**62
 """Steps are counted in 64 bits, and nothing may run over."""
 
 
+class CompilerOff(ImportError):
+    """Compiling is switched off, and nothing runs without it."""
+
+
 def check_beta(beta: float) -> float:
     """β itself; raises ValueError unless it is a number in [0, 1)."""
     if not _is_number(beta) or not 0.0 <= beta < 1.0:

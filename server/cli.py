@@ -23,6 +23,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from hebbviz.limits import CompilerOff
 from server.making import asked_rule, make_learner, saved_file, saved_task, task_name
 from server.options import parse, shows_page
 from server.output import spared
@@ -76,7 +77,7 @@ def _obey(argv: list[str]) -> int:
         code = COMMANDS[args.command](args)
     except SystemExit as done:  # argparse, after --help and --version
         return int(done.code or 0)
-    except InputError as error:
+    except (InputError, CompilerOff) as error:
         return fail(BAD_INPUT, str(error))
     except KeyboardInterrupt:  # a second Ctrl-C
         return fail(128 + signal.SIGINT, "stopped at once")

@@ -28,12 +28,14 @@ Only + - * / and sqrt are used, each correctly rounded, and fast-math is off.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from hebbviz.compiled import compiled
 
 Vector: TypeAlias = NDArray[np.float64]
 Ten: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float]
@@ -83,7 +85,8 @@ _limit = FARTHEST
 _shortest = _dt / 1024  # s, of a Runge-Kutta step: ends where the rod turns without bound
 _HALVINGS = 52
 
-_jit = njit(cache=True, nogil=True, error_model="numpy")
+_F = TypeVar("_F", bound=Callable[..., Any])
+_jit: Callable[[_F], _F] = compiled
 
 
 @_jit

@@ -159,6 +159,7 @@ def _end_processes(executor: ProcessPoolExecutor) -> None:
 def _begin_process(stop: Stop) -> None:
     """End with the program that began this process, however it ends, whose stdout is not ours."""
     obey(stop)
+    logging.getLogger("hebbviz").setLevel(logging.ERROR)  # of its cache the first process tells
     sys.stdout = sys.stderr = cast(TextIO, Stream(sys.stderr))
     parent = multiprocessing.parent_process()
     assert parent is not None
