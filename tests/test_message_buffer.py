@@ -6,6 +6,7 @@ import asyncio
 import itertools
 import threading
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -30,11 +31,14 @@ def setting(key: str, value: object) -> Message:
 
 
 def run(job: Callable[[], Awaitable[None]]) -> None:
+    """In a thread of its own: a browser test before this one may leave a loop in this thread."""
+
     async def bounded() -> None:
         async with asyncio.timeout(20):
             await job()
 
-    asyncio.run(bounded())
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(lambda: asyncio.run(bounded())).result()
 
 
 def new(*, persistent: bool = True) -> MessageBuffer:
