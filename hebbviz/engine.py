@@ -127,7 +127,7 @@ def engine(width: int) -> Engine:
     Every function takes a tile's `state` (rows, width), float32 or float64, and the layout's
     `table`. `modulate`, `memory` (rows, lanes) and `constants` are the rule's, see `rules.Rule`;
     `modulated` (width, or 0 for the paper's rule, which is not called) is room for what it makes
-    of the reward; `instead` (steps, or 0) is broadcast in its place. `totals` (3, width) are
+    of the reward; `instead` (steps, or 0) takes its place. `totals` (3, width) are
     the sums since the start of the rewards of the task, of those broadcast, and of the ends.
     `gamma` (projections, width; 0 while frozen) falls over `fall` steps, unless that is infinite.
 

@@ -123,8 +123,9 @@ class Learner:
     def advance(self, steps: int, *, closely: bool = False, reward: Array | None = None) -> Block:
         """Run `steps` steps and return what happened in each of them, in the watched lane.
 
-        `closely`: potentials and the world's state of every step too. `reward` (steps,): what
-        every synapse is sent in place of the task's reward, for controls and comparisons.
+        `closely`: potentials and the world's state of every step too. `reward` (steps,): sent to
+        every synapse in place of what the rule makes of the task's reward, for controls and
+        comparisons; what is given by hand (`give_reward`) is added to it, as always.
 
         Raises TaskError if the task fails; the learner is then at the end of the last good step,
         of a compiled task where it was before.

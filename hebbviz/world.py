@@ -54,9 +54,9 @@ class World:
     def run(self, steps: int, *, instead: Array, watch: int, notes: Notes, since: Summing) -> None:
         """Act and hear for so many steps.
 
-        `instead` (steps, or 0) is broadcast in place of the reward; `notes` and `since` are of the
-        lane `watch`, unless that is NOBODY. If a step fails, `step`, network, states and sums are
-        what they were before it or, compiled, before all of them.
+        `instead` (steps, or 0) takes the place of what is made of the reward; `notes` and `since`
+        are of the lane `watch`, unless that is NOBODY. If a step fails, `step`, network, states and
+        sums are what they were before it or, compiled, before all of them.
         """
         raise NotImplementedError
 

@@ -224,7 +224,7 @@ class Controls:
         assign(self.task, "value", picture.task_name)
         assign(self.preset, "options", tuple(task.presets))
         assign(self.preset, "value", task.plain_preset)
-        self.preset_note.content = f"{task.summary}. *{task.preset.note}.*"
+        self.preset_note.content = f"{task.summary}. *As it opens: {task.preset.note}.*"
         assign(self.amount, "value", task.hand_reward)
         self._build_switches(task)
         self._build_task_buttons(task)

@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from hebbviz import __version__
 from hebbviz.limits import MOST_LANES
 from server.making import DEFAULT_TASK, MOST_SHOWN_LANES
+from server.numbers import about_commas, whole
 from server.terminal import InputError
 
 if TYPE_CHECKING:
@@ -202,10 +202,11 @@ def _add_hidden(parser: argparse._ActionsContainer) -> None:
 def _whole(name: str, least: int, most: int) -> Callable[[str], int]:
     def parse(text: str) -> int:
         with contextlib.suppress(ValueError):
-            if least <= int(text) <= most:
-                return int(text)
+            if least <= whole(text) <= most:
+                return whole(text)
         raise argparse.ArgumentTypeError(
             f"{name} must be a whole number from {least} to {most}, got {text!r}"
+            f"{about_commas(text)}"
         )
 
     return parse
@@ -222,7 +223,9 @@ def _number(name: str) -> Callable[[str], float]:
         with contextlib.suppress(ValueError):
             if math.isfinite(float(text)):
                 return float(text)
-        raise argparse.ArgumentTypeError(f"{name} must be a finite number, got {text!r}")
+        raise argparse.ArgumentTypeError(
+            f"{name} must be a finite number, got {text!r}{about_commas(text)}"
+        )
 
     return parse
 
@@ -230,7 +233,9 @@ def _number(name: str) -> Callable[[str], float]:
 def _fall(text: str) -> float:
     with contextlib.suppress(ValueError):
         return math.inf if text == "never" else float(text)
-    raise argparse.ArgumentTypeError(f"fall must be a number of steps or never, got {text!r}")
+    raise argparse.ArgumentTypeError(
+        f"fall must be a number of steps or never, got {text!r}{about_commas(text)}"
+    )
 
 
 def _positive(name: str) -> Callable[[str], float]:
@@ -238,7 +243,9 @@ def _positive(name: str) -> Callable[[str], float]:
         with contextlib.suppress(ValueError):
             if math.isfinite(float(text)) and float(text) > 0.0:
                 return float(text)
-        raise argparse.ArgumentTypeError(f"{name} must be a number above 0, got {text!r}")
+        raise argparse.ArgumentTypeError(
+            f"{name} must be a number above 0, got {text!r}{about_commas(text)}"
+        )
 
     return parse
 
@@ -250,7 +257,7 @@ def _speed(text: str) -> Speed:
         if math.isfinite(float(text)) and float(text) > 0.0:
             return float(text)
     raise argparse.ArgumentTypeError(
-        f"speed must be steps per second above 0, realtime or max, got {text!r}"
+        f"speed must be steps per second above 0, realtime or max, got {text!r}{about_commas(text)}"
     )
 
 
@@ -548,9 +555,10 @@ def _budget(text: str) -> int:
 
 
 def _steps(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d{1,15}):(\d{1,15})", text)
-    if match is None or not int(match[1]) < int(match[2]):
-        raise argparse.ArgumentTypeError(
-            f"steps must be FROM:TO with FROM before TO, such as 1000:2000, got {text!r}"
-        )
-    return int(match[1]), int(match[2])
+    with contextlib.suppress(ValueError):
+        first, end = map(whole, text.split(":"))
+        if 0 <= first < end <= MOST_STEPS:
+            return first, end
+    raise argparse.ArgumentTypeError(
+        f"steps must be FROM:TO with FROM before TO, such as 1000:2000, got {text!r}"
+    )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import inspect
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, TypeVar
@@ -16,7 +17,7 @@ from hebbviz.rules import Rule, make_rule, register
 from hebbviz.switches import UnknownPreset
 from hebbviz.task import Input, Output, Preset, Task
 from sims import task_class
-from sims.own import own_file
+from sims.own import neighbours, own_file
 
 T = TypeVar("T")
 
@@ -34,6 +35,7 @@ def make_task(name: str, preset: str | None = None) -> Task:
     TaskError
         If a user's file or class raises.
     """
+    _check_named(name, Task)
     if own_file(name)[0] is not None:
         return _make(_class_from_file(name, Task), name, preset)
     return _make(task_class(name), name, preset)
@@ -45,6 +47,7 @@ def load_rule(spec: str) -> Rule:
     One of a user's file is known to `make_rule` by its own name from then on. Raises as
     `make_task` does.
     """
+    _check_named(spec, Rule)
     match = re.fullmatch(r"(.+\.py:\w+):?(.*)", spec)
     if match is None:
         return make_rule(spec)
@@ -106,6 +109,19 @@ def _check_methods(what: str, task: Task) -> None:
             ) from error
 
 
+def _check_named(spec: str, base: type) -> None:
+    """Raise ValueError for a file without the name of a class, and say which it has."""
+    if not spec.endswith(".py"):
+        return
+    what = base.__name__.lower()
+    if not Path(spec).is_file():
+        raise ValueError(f"{what} {spec}: there is no file {spec}; give it as path.py:Name")
+    module = _run_file(Path(spec), f"{what} {spec}")
+    has = [f"{spec}:{c.__name__}" for c in vars(module).values() if _is_own(c, base, module)]
+    wanted = f"such as {' or '.join(has)}" if has else f"and it has none made from {base.__name__}"
+    raise ValueError(f"{what} {spec}: the class must be named too, {wanted}")
+
+
 def _class_from_file(spec: str, base: type[T]) -> type[T]:
     """A task or a rule of the user's own."""
     file, _, class_name = spec.rpartition(":")
@@ -136,10 +152,34 @@ def _run_file(path: Path, what: str) -> ModuleType:
     module = importlib.util.module_from_spec(loader)
     sys.modules[module_name] = module  # dataclasses and pickling look a class's module up there
     try:
-        loader.loader.exec_module(module)
+        with _beside(path.resolve()):
+            loader.loader.exec_module(module)
     except Exception as error:
         raise _failed(what, error) from error
     return module
+
+
+@contextlib.contextmanager
+def _beside(file: Path) -> Iterator[None]:
+    """What stands beside a file can be imported in here, as Python has it for a file that it runs;
+    later, by its functions, what no other module goes before.
+    """
+    folder = str(file.parent)
+    for name, path in neighbours(file).items():
+        loaded = getattr(sys.modules.get(name), "__file__", None)
+        if loaded in _own_modules and Path(loaded) != path:  # of another file of the user's own
+            del sys.modules[name]
+        _own_modules.add(str(path))
+    before = list(sys.path)
+    sys.path.insert(0, folder)
+    try:
+        yield
+    finally:
+        sys.path[:] = [*before, *([] if folder in before else [folder])]
+
+
+_own_modules: set[str] = set()
+"""Files of modules that stand beside a user's own."""
 
 
 def _failed(what: str, error: Exception) -> TaskError:

@@ -90,7 +90,8 @@ class Pendulum(Task):
     def __init__(self, preset: str | None = None) -> None:
         super().__init__(preset)
         self._gains = np.repeat(self.preset.options["gains"], 2)
-        kinds = (("position", "m"), ("velocity", "m/s"), ("angle", "rad"), ("rate", "rad/s"))
+        # The rod is known by the horizontal part of its unit vector: the sine of its tilt.
+        kinds = (("position", "m"), ("velocity", "m/s"), ("tilt", "sine"), ("rate", "1/s"))
         self.inputs = tuple(
             Input(f"{name} {axis}", unit, float(self._gains[2 * k]))
             for k, (name, unit) in enumerate(kinds)

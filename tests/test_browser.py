@@ -436,18 +436,18 @@ def test_the_estimate_goes_to_the_true_gradient(page: Page, live: Live) -> None:
 
 def test_what_another_picks_is_not_picked_here(page: Page, live: Live) -> None:
     pause(page, live)
-    choose(page, "from", "angle x")
-    page.get_by_text("angle x → hidden 1").wait_for()
+    choose(page, "from", "tilt x")
+    page.get_by_text("tilt x → hidden 1").wait_for()
     with RawClient(int(live.site.address.rpartition(":")[2])) as other:
-        other.send_value(other.find("from"), "angle y")
+        other.send_value(other.find("from"), "tilt y")
         other.wait(
-            lambda: [w for w in list(other.widgets.values()) if "angle y → hidden 1" in str(w)]
+            lambda: [w for w in list(other.widgets.values()) if "tilt y → hidden 1" in str(w)]
         )
         step = step_shown(page)
         press(page, "1 step")
         eventually(page, lambda: step_shown(page) == step + 1)
-        assert "angle x → hidden 1" in text_of(page)
-        assert "angle y → hidden 1" not in text_of(page)
+        assert "tilt x → hidden 1" in text_of(page)
+        assert "tilt y → hidden 1" not in text_of(page)
 
 
 @pytest.mark.slow
@@ -457,19 +457,19 @@ def test_each_tab_follows_its_own_pick(
     pause(page, live)
     with tab_at(browser, live.site.address, width=WIDTH, height=HEIGHT) as other:
         listen(other, errors)
-        choose(page, "from", "angle x")
-        page.get_by_text("angle x → hidden 1").wait_for()
+        choose(page, "from", "tilt x")
+        page.get_by_text("tilt x → hidden 1").wait_for()
         choose(other, "pick", "hidden → output")
         choose(other, "to", "output 2")
         other.get_by_text("hidden 1 → output 2").wait_for()
         weight = live.picture.live.weight
         names = live.picture.live.topology
-        assert f"{weight[4]:+.5f}" in text_of(page)  # from angle x, the fifth input, to hidden 1
+        assert f"{weight[4]:+.5f}" in text_of(page)  # from tilt x, the fifth input, to hidden 1
         assert f"{weight[names.synapses_of(1).start + 4]:+.5f}" in text_of(other)
         assert "hidden 1 → output 2" not in text_of(page)
         eventually(page, lambda: "2 tabs" in text_of(page))
     eventually(page, lambda: "1 tab" in text_of(page) and "2 tabs" not in text_of(page))
-    assert "angle x → hidden 1" in text_of(page)
+    assert "tilt x → hidden 1" in text_of(page)
     step = step_shown(page)
     press(page, "1 step")
     eventually(page, lambda: step_shown(page) == step + 1)

@@ -147,6 +147,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """User's files, saved learners, and files that are none."""
     path = tmp_path_factory.mktemp("cli")
     (path / "mine.py").write_text(POLE)
+    (path / "lone.py").write_text(POLE[: POLE.index("class Breaks")])
     (path / "rules.py").write_text(RULES)
     (path / "broken.py").write_text("def f(:\n")
     (path / "raises.py").write_text("x = 1\n\n1 / 0\n")
@@ -202,7 +203,7 @@ BAD: dict[str, str] = {
     "--seed 1.5": "seed must be",
     "--lanes 0": "lanes must be a whole number from 1 to 256, got '0'",
     "--lanes -1": "lanes must be",
-    "--lanes 1e2": "lanes must be",
+    "--lanes 1e3": "lanes must be a whole number from 1 to 256, got '1e3'",
     "--lanes 257": "lanes must be",
     "--hidden 8x": "hidden must be sizes such as 16 or 8,8",
     "--hidden 100000000": "must have 1 to 4096 units, got 100000000",
@@ -231,7 +232,21 @@ BAD: dict[str, str] = {
     "--no-such-option": "unrecognized arguments",
     "train": "required: --steps",
     "train --steps -1": "steps must be a whole number from 0",
-    "train --steps 1e3": "steps must be a whole number",
+    "train --steps 1e999999999": "steps must be a whole number",
+    "train --steps 1e13": "steps must be a whole number",
+    "train --steps 1,000,000": "got '1,000,000'; leave the commas out",
+    "train --steps 1,5e6": "got '1,5e6'; use a point: 1.5e6",
+    "train --steps 9 --beta 0,95": "beta must be a finite number, got '0,95'; use a point: 0.95",
+    "--fall 1,5e6": "or never, got '1,5e6'; use a point: 1.5e6",
+    "--speed 0,5": "or max, got '0,5'; use a point: 0.5",
+    "--rule baseline:time=0,5": "it has time; use a point in numbers",
+    "sweep --beta 0,95 --out {0}/out": "in [0, 1), got 95.0; use a point: 0.95",
+    "figure pendulum --hours 0,5 --out {0}/out": "got '0,5'; use a point: 0.5",
+    "train --steps 9 --budget 1,5MB": "got '1,5MB'; use a point",
+    "--task {0}/mine.py": "class must be named too, such as {0}/mine.py:Pole or {0}/mine.py:Breaks",
+    "--task {0}/lone.py": "task {0}/lone.py: the class must be named too, such as {0}/lone.py:Pole",
+    "--task none.py": "there is no file none.py; give it as path.py:Name",
+    "--rule {0}/mine.py": "the class must be named too, and it has none made from Rule",
     "train --steps 1.5": "steps must be a whole number",
     "train --steps 9 --speed 3": "unrecognized arguments: --speed",
     "train --steps 9 --lanes 3": "unrecognized arguments: --lanes",
@@ -352,7 +367,19 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--version", capsys=capsys)[:2] == (0, "hebbviz 0.1.0\n")
 
 
+def test_python_m_hebbviz_is_the_command() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "hebbviz", "--version"],
+        cwd=ROOT, capture_output=True, text=True, check=True, timeout=PATIENCE,
+    )  # fmt: skip
+    assert done.stdout == "hebbviz 0.1.0\n"
+
+
 # Training
+
+
+def test_steps_may_be_written_with_an_exponent(capsys: pytest.CaptureFixture[str]) -> None:
+    assert trained(capsys, "--task", "synapse", "--steps", "1.2e2")["steps"] == 120
 
 
 def trained(capsys: pytest.CaptureFixture[str], *args: object) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -544,6 +545,17 @@ def test_a_task_may_be_written_in_another_encoding(tmp_path):
     own.write_bytes(b"# -*- coding: latin-1 -*-\n" + f"# défaut\n{text}".encode("latin-1"))
     made = Made("learning", tmp_path / "out", f"--task {own}:Lever --lanes 1 --steps 100")
     assert made.says["steps"] == 100
+
+
+def test_a_caption_says_what_is_not_as_the_preset_has_it():
+    """Its note tells the preset's own β, which is not in force then."""
+    plan = Plan(task="pendulum", lanes=1, segments=1, segment_steps=1)
+    note = make_task("pendulum").note
+    assert preset_note(plan) == f"preset quick: {note}"
+    given = replace(plan, beta=0.9, hidden=(3,), options={"rule": "baseline"})
+    assert preset_note(given) == f"preset quick, but another network, β, rule; as it is: {note}"
+    same = replace(plan, beta=0.98, hidden=(4,))
+    assert preset_note(same) == preset_note(plan)
 
 
 @pytest.mark.parametrize("preset", ["quick", "best", "best:centred=no"])

@@ -14,6 +14,7 @@ FORBIDDEN = {
     "hebbviz": {"sims", "server", "viser", "pymunk", "rerun"},
     "sims": {"server", "viser", "rerun"},
 }
+ALLOWED = {"hebbviz/__main__.py": {"server"}}  # the command line, when it is run and not before
 FILES = [(p, path) for p in FORBIDDEN for path in sorted((ROOT / p).glob("**/*.py"))]
 
 
@@ -32,7 +33,8 @@ def imported(source):
 
 @pytest.mark.parametrize(("package", "path"), FILES, ids=lambda x: getattr(x, "name", x))
 def test_a_file_imports_nothing_from_above(package, path):
-    assert not imported(path.read_text()) & (FORBIDDEN[package] | {".."})
+    allowed = ALLOWED.get(path.relative_to(ROOT).as_posix(), set())
+    assert not imported(path.read_text()) & (FORBIDDEN[package] | {".."}) - allowed
 
 
 def test_the_files_are_there():

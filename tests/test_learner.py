@@ -408,6 +408,14 @@ def test_rewards_that_do_not_fit_are_refused(reward):
 
 
 @EACH
+def test_reward_by_hand_is_added_to_a_reward_that_replaces_the_tasks(run):
+    learner = new(run, seed=3)
+    learner.give_reward(0.25)
+    told = learner.advance(3, reward=np.array([1.0, -1.0, 0.5]))
+    assert told.broadcast.tolist() == [1.25, -1.0, 0.5]
+
+
+@EACH
 def test_a_keyframes_digest_tells_every_bit(run):
     learner = straight(run, seed=3)
     keyframe = learner.keyframe()

@@ -125,3 +125,13 @@ def test_the_scene_is_the_state():
         tilt = re.search(r"([0-9.]+)°", pose.words)
         assert tilt
         assert float(tilt[1]) == pytest.approx(np.degrees(np.arccos(state[6])), abs=0.06)
+
+
+def test_the_inputs_are_what_they_are_said_to_be():
+    """Tilts are the sines of the rod's angle to the vertical, whatever their gain."""
+    task = Pendulum("raw")
+    state = np.zeros(12)
+    state[4:7] = math.sin(0.2), 0.0, math.cos(0.2)
+    seen = dict(zip([i.name for i in task.inputs], task.observation(state), strict=True))
+    assert seen["tilt x"] == pytest.approx(math.sin(0.2))
+    assert {i.unit for i in task.inputs if i.name.startswith("tilt")} == {"sine"}

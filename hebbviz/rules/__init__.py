@@ -195,7 +195,8 @@ def _values(rule: type[Rule], given: str) -> dict[str, float]:
         name, _, text = part.partition("=")
         if name not in known:
             has = f"it has {', '.join(known)}" if known else "it has none"
-            raise ValueError(f"rule {rule.name} has no parameter {name!r}; {has}")
+            hint = "; use a point in numbers" if name.isdigit() else ""
+            raise ValueError(f"rule {rule.name} has no parameter {name!r}; {has}{hint}")
         try:
             values[name] = float(text)
         except ValueError:

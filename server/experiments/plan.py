@@ -18,7 +18,7 @@ from hebbviz.learner import Learner
 from hebbviz.rules import Rule
 from hebbviz.task import Tally, Task
 from sims.loading import load_rule, make_task
-from sims.own import own_file, own_files
+from sims.own import neighbours, own_file, own_files
 
 Array = NDArray[np.float64]
 
@@ -131,9 +131,14 @@ def _rule(spec: str, _text: bytes) -> Rule:
 
 
 def _text(spec: str) -> bytes:
-    """Of a user's own file, in whatever encoding; of what has none, nothing."""
+    """Of a user's own file and the modules beside it that it imports, in whatever encoding; of what
+    has none, nothing.
+    """
     file, _ = own_file(spec)
-    return b"" if file is None else file.read_bytes()
+    if file is None:
+        return b""
+    texts = [file, *(path for _, path in sorted(neighbours(file).items()))]
+    return b"".join(path.read_bytes() for path in texts)
 
 
 def _content(spec: str) -> list[str]:

@@ -10,7 +10,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from hebbviz.rules.paper import PAPER
-from server.experiments import figures_of
+from server.experiments import Plan, figures_of
 from server.spread import median
 from server.terminal import finite
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
 
     from hebbviz.task import Measure, Task
-    from server.experiments import Curves, Plan
+    from server.experiments import Curves
     from server.figures.scales import Course
     from server.figures.sheet import Color
 
@@ -60,9 +60,22 @@ def rule_of(about: dict[str, Any]) -> str:
 
 
 def preset_note(plan: Plan) -> str:
-    """What the task says of the plan's preset."""
+    """What the task says of the plan's preset, and what of it is not in force."""
     task = plan.make_task()
-    return f"preset {task.preset_name}: {task.note}"
+    other = _set_otherwise(plan)
+    if not other:
+        return f"preset {task.preset_name}: {task.note}"
+    return f"preset {task.preset_name}, but another {', '.join(other)}; as it is: {task.note}"
+
+
+def _set_otherwise(plan: Plan) -> list[str]:
+    """What is not as the plan's preset has it."""
+    own = Plan(
+        task=plan.task, preset=plan.preset, lanes=plan.lanes, segments=1, segment_steps=1
+    )  # fmt: skip
+    now, before = setting(plan), setting(own)
+    names = {"network": "network", "beta": "β", "gamma": "γ", "rule": "rule", "fall": "fall of γ"}
+    return [words for name, words in names.items() if now[name] != before[name]]
 
 
 def shown(number: float) -> str:

@@ -51,7 +51,7 @@ def parse_budget(text: str) -> int:
     if not LEAST_BUDGET <= size <= MOST_BUDGET:
         raise ValueError(
             f"budget must be bytes a minute from {words(LEAST_BUDGET)} to {words(MOST_BUDGET)}, "
-            f"such as 30MB, got {text[:40]!r}"
+            f"such as 30MB, got {text[:40]!r}{'; use a point' * (',' in text)}"
         )
     return int(size)
 

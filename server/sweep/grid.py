@@ -15,6 +15,7 @@ from server.experiments import Plan, options_of
 from server.figures.length import steps_of
 from server.figures.order import said, task_word
 from server.making import DEFAULT_TASK
+from server.numbers import about_commas
 from server.terminal import InputError
 from sims.loading import make_task
 
@@ -57,13 +58,20 @@ def _parse(
     for part in text.split(","):
         match part.split(":"):
             case [value]:
-                values.add(check(_number(value, text)))
+                values.add(_checked(value, text, check))
             case [first, last, count]:
                 ends = check(_number(first, text)), check(_number(last, text))
                 values |= {check(value) for value in series(*ends, _count(count))}
             case _:
                 raise _wrong(text)
     return tuple(sorted(values))
+
+
+def _checked(value: str, whole: str, check: Callable[[float], float]) -> float:
+    try:
+        return check(_number(value, whole))
+    except ValueError as error:
+        raise ValueError(f"{error}{about_commas(whole)}") from None
 
 
 def round_off(value: float, digits: int = 6) -> float:

@@ -1,0 +1,10 @@
+"""`python -m hebbviz` is the command line. That stands above this package, and is imported here
+alone, when it is run.
+"""
+
+import sys
+
+if __name__ == "__main__":
+    from server.cli import main
+
+    sys.exit(main())
