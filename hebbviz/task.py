@@ -227,7 +227,7 @@ class Task:
     weight_range: ClassVar[float] = 0.1
     """Initial weights are uniform in ± this."""
     measure: ClassVar[Measure] = Measure("average reward", "average_reward", "per step")
-    frozen_figures: ClassVar[tuple[str, ...]] = ()
+    frozen_figures: tuple[str, ...] = ()
     """Keys of `evaluate` for the learning curve; fractions where the measure is in %."""
     readings: ClassVar[tuple[Reading, ...]] = ()
     """What recordings plot of the world, in the order of `read`."""

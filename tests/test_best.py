@@ -131,7 +131,7 @@ def test_errors_of_a_frozen_copy_are_of_a_thousand_steps_a_pattern():
     learner = Learner(Sonar("best"), lanes=16, seed=2)
     learner.set_weights(np.zeros_like(learner.weights))
     errors = learner.task.evaluate(learner)
-    for name, patterns in (("training_error", TRAINING), ("test_error", PATTERNS - TRAINING)):
+    for name, patterns in (("training_error", TRAINING), ("validation_error", PATTERNS - TRAINING)):
         spread = errors[name] - 0.5
         assert np.abs(spread).max() < 6 * 0.5 / np.sqrt(patterns * HOLD)
         assert np.abs(spread).max() > 0.5 / np.sqrt(patterns * HOLD), "no fewer steps than that"
@@ -153,7 +153,7 @@ def test_sonar_best_learns_its_training_set():
     learner.skip(60 * learner.task.epoch)  # a fifth of the figure's
     errors = learner.task.evaluate(learner)
     assert errors["training_error"].mean() < 0.035
-    assert errors["test_error"].mean() < 0.18
+    assert errors["validation_error"].mean() < 0.18
 
 
 @pytest.mark.slow

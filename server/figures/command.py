@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,10 @@ class Work:
     stop: threading.Event = field(default_factory=threading.Event)
     progress: Callable[[float], object] = lambda _: None
     scheduler: str | None = None
+
+    def part(self, first: float, last: float) -> Work:
+        """The same, for what brings the progress from one fraction to another."""
+        return replace(self, progress=lambda done: self.progress(first + (last - first) * done))
 
     def curves(self, plans: Sequence[Plan]) -> list[Curves]:
         """What comes of the plans; raises `experiments.Interrupted` once it is to stop."""

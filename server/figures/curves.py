@@ -133,6 +133,19 @@ def triangles(course: Course) -> str:
     )  # fmt: skip
 
 
+def beside(values: Array, height: float, width: float) -> Array:
+    """How far sideways points stand so that those of about one value are side by side, (n,): within
+    `width`, those of a `height` in a row.
+    """
+    shifts = np.zeros(len(values))
+    rows = np.floor(values / height)
+    most = int(np.unique(rows, return_counts=True)[1].max())
+    for row in np.unique(rows):
+        at = np.flatnonzero(rows == row)
+        shifts[at] = (np.arange(len(at)) - (len(at) - 1) / 2) * width / max(most, 6)
+    return shifts
+
+
 def set_measure_axis(axes: Axes, measure: Measure) -> None:
     """The vertical axis of a task's measure."""
     unit = f", {measure.unit}" if measure.unit else ""

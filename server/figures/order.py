@@ -34,7 +34,7 @@ KINDS = {
         ("lanes", "scheduler"),
     ),
     "sonar": Kind(
-        "training and test error of many runs, mean and standard deviation",
+        "training and test error of many runs, each of them and their mean and standard deviation",
         "sonar",
         ("preset", "lanes", "epochs", "scheduler"),
     ),
