@@ -137,6 +137,16 @@ def check(message: FromPage, target: Any) -> None:
         raise Refused(f"misplaced {kind}", line)
 
 
+def key(message: FromPage, target: Any) -> str | None:
+    """What a later message of the same key makes vain; None for what is pressed, clicked or sent
+    off, of which each counts.
+    """
+    if isinstance(message, ViewerCameraMessage):
+        return "camera"
+    presses = isinstance(target, (gui.GuiButtonHandle, gui.GuiButtonGroupHandle))
+    return message.uuid if isinstance(message, GuiUpdateMessage) and not presses else None
+
+
 def check_change(widget: Any, updates: dict[str, Any]) -> None:
     """Refuse a page's change of a widget, unless it is a value that fits."""
     label = shown(widget.label)[1:-1]

@@ -16,10 +16,9 @@ import os
 import socket
 import threading
 import types
-import weakref
 from collections.abc import Awaitable, Callable, Iterable, Iterator
 from http import HTTPStatus
-from typing import Any
+from typing import Any, NamedTuple
 
 import rich
 import viser
@@ -33,7 +32,17 @@ from websockets.frames import CloseCode
 from websockets.http11 import Request, Response
 
 from server import admission, message_buffer, readers
+from server.crowd import Crowd, tell_shortages
 from server.entrance import Access, Entrance, Passage, Role, headers
+from server.inflow import (
+    ALL_MESSAGES_PER_SECOND,
+    ALL_READS_PER_SECOND,
+    MESSAGES_PER_SECOND,
+    PRESSES_PER_SECOND,
+    READS_PER_SECOND,
+    Allowance,
+    Inflow,
+)
 from server.readers import Reader
 from server.refusal import Refused
 
@@ -140,7 +149,7 @@ class Gate:
         self._on_turned_away = on_turned_away or on_refusal
         self._headers = headers(POLICY, frame_from)
         self.server: viser.ViserServer | None = None
-        self.connections: weakref.WeakSet[ServerConnection] = weakref.WeakSet()
+        self.crowd = Crowd()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._reported: set[str] = set()
         self._unsettled: set[str] = set()
@@ -154,9 +163,17 @@ class Gate:
             except Refused as refused:
                 self._report_once(refused, self._on_turned_away)
                 return conn.respond(HTTPStatus.FORBIDDEN, f"{refused.line}\n")
+            try:
+                await self.crowd.wait_in_line(conn)
+            except Refused as refused:
+                self._report_once(refused, self._on_turned_away)
+                return conn.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"{refused.line}\n")
             while self.server is None:  # viser answers a moment before it is complete
                 await asyncio.sleep(0.01)
-            return process_request(conn, request)
+            try:
+                return process_request(conn, request)
+            except (OSError, ValueError):  # a path that no file can have
+                return conn.respond(HTTPStatus.NOT_FOUND, "there is no such file\n")
 
         def with_headers(conn: _Connection, _: Request, response: Response) -> None:
             response.headers.update(self._headers)
@@ -171,6 +188,7 @@ class Gate:
                 await connection.close(CloseCode.PROTOCOL_ERROR, reason)
 
         self._loop = asyncio.get_running_loop()
+        tell_shortages(self._loop, self.report)
         options |= {
             "process_request": checked_request,
             "process_response": with_headers,
@@ -188,14 +206,10 @@ class Gate:
         if self._loop is not None:
             with contextlib.suppress(RuntimeError):  # the loop has ended
                 self._loop.call_soon_threadsafe(
-                    self._loop.call_later, FAREWELL_SECONDS, self._hang_up
+                    self._loop.call_later, FAREWELL_SECONDS, self.crowd.hang_up
                 )
 
-    def _hang_up(self) -> None:
-        for connection in list(self.connections):
-            connection.transport.abort()
-
-    def admit(self, raw: str | bytes, connection: _Connection) -> bytes | None:
+    def admit(self, raw: str | bytes, connection: _Connection) -> Admitted | None:
         """The message as viser may have it, or None.
 
         It is encoded anew from what was checked, so that viser can't read the same bytes (say,
@@ -210,7 +224,7 @@ class Gate:
         except Refused as refused:
             self._refuse(refused, connection)
             return None
-        return admission.encode(message)
+        return Admitted(admission.key(message, target), admission.encode(message))
 
     def report(self, refused: Refused) -> None:
         """Say of a message that it was refused."""
@@ -264,6 +278,13 @@ class Gate:
             widget._queue_update("value", widget.value)
 
 
+class Admitted(NamedTuple):
+    """A message that may pass, and what it is about; see `admission.key`."""
+
+    key: str | None
+    message: bytes
+
+
 class _Connection(ServerConnection):
     """A client's connection, which hands on only the messages that the gate admits."""
 
@@ -277,21 +298,72 @@ class _Connection(ServerConnection):
         self.passage = passage
         self.reader = Reader() if passage.role is Role.READER else None
 
+        self._inflow, self._reads = Inflow(), Allowance(READS_PER_SECOND)
+        self._reader: asyncio.Task[None] | None = None
+        self._news = asyncio.Event()
+        self._end: Exception | None = None
+
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
-        self.gate.connections.add(self)
+        self.gate.crowd.enter(self)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.gate.crowd.leave(self)
+        super().connection_lost(exc)
+
+    def send_data(self) -> None:
+        """Send what is to be sent, unless nobody is there: asyncio would complain of each."""
+        if self.transport.is_closing():
+            self.protocol.data_to_send()
+        else:
+            super().send_data()
 
     async def recv(self, decode: bool | None = None) -> Any:
+        """The next message, at the pace of the `Inflow`."""
+        if self._reader is None:
+            self._reader = asyncio.create_task(self._read(decode))
         while True:
-            try:
+            self._news.clear()
+            share = self.gate.crowd.share(MESSAGES_PER_SECOND, ALL_MESSAGES_PER_SECOND)
+            found = self._inflow.take(self.loop.time(), share=share)
+            if isinstance(found, bytes):
+                return found
+            if found is None and self._end is not None:
+                raise self._end
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(found):
+                    await self._news.wait()
+
+    async def _read(self, decode: bool | None) -> None:
+        """Take in what comes, until the connection is closed."""
+        try:
+            while True:
                 raw = await super().recv(decode)
-            except ConnectionClosed as closed:
-                if closed.sent is not None and closed.sent.code == CloseCode.MESSAGE_TOO_BIG:
-                    line = f"refused a message from a page: over {MAX_MESSAGE_BYTES} bytes"
-                    self.gate.report(Refused("oversized", line))
-                raise
-            if (admitted := self.gate.admit(raw, self)) is not None:
-                return admitted
+                self._take_in(self.gate.admit(raw, self))
+                await self._rest()
+        except ConnectionClosed as closed:
+            if closed.sent is not None and closed.sent.code == CloseCode.MESSAGE_TOO_BIG:
+                line = f"refused a message from a page: over {MAX_MESSAGE_BYTES} bytes"
+                self.gate.report(Refused("oversized", line))
+            self._end = closed
+        except Exception as error:  # `recv` is to end by it
+            self._end = error
+        finally:
+            self._news.set()
+
+    def _take_in(self, admitted: Admitted | None) -> None:
+        if admitted is None:
+            return
+        if not self._inflow.put(admitted.key, admitted.message):
+            line = f"refused clicks from a page: over {PRESSES_PER_SECOND:.0f} a second"
+            self.gate.report(Refused("presses", line))
+        self._news.set()
+
+    async def _rest(self) -> None:
+        """Read no more than is allowed; the rest waits with whoever sends it."""
+        share = self.gate.crowd.share(READS_PER_SECOND, ALL_READS_PER_SECOND)
+        while wait := self._reads.wait(self.loop.time(), share=share):
+            await asyncio.sleep(wait)
 
 
 def _listener(host: str, port: int | None, default_port: int) -> socket.socket:

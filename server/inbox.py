@@ -1,17 +1,36 @@
 """The commands that have come in, given out one by one in the order in which they came.
 
 One after which other code is needed waits until that is compiled, and those after it wait too, but
-for pausing.
+for pausing. Of settings with no other command between them the last of each kind wins.
 """
 
 from __future__ import annotations
 
-import queue
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 
-from server.commands import Command, Pause, Seek
+from server.commands import (
+    Command,
+    Freeze,
+    Pause,
+    Probe,
+    Seek,
+    SetBeta,
+    SetFall,
+    SetGamma,
+    SetSpeed,
+    SetWatchSpeed,
+)
 from server.preparing import Preparation
+
+MOST_WAITING = 256
+"""Commands beyond these are lost: nobody waits for so many."""
+SETTINGS: tuple[tuple[type, ...], ...] = (
+    (SetBeta, SetGamma, SetFall, Freeze),
+    (Seek, Probe, SetSpeed, SetWatchSpeed),
+)
+"""Of those that come one after the other in a group, each makes the one of its kind before vain."""
 
 
 class Inbox:
@@ -19,56 +38,81 @@ class Inbox:
 
     def __init__(self, prepare: Callable[[Command], Preparation | None]) -> None:
         self._prepare = prepare
-        self._new: queue.SimpleQueue[Command | None] = queue.SimpleQueue()
+        self._changed = threading.Condition()
         self._waiting: deque[Command] = deque()
+        self._is_new = False
+        self._lost = 0
         self.preparation: Preparation | None = None
         """What is being waited for."""
 
+    def __len__(self) -> int:
+        return len(self._waiting)
+
     def put(self, command: Command) -> None:
         """From any thread, never blocks."""
-        self._new.put(command)
+        with self._changed:
+            self._forget_vain(type(command))
+            if len(self._waiting) < MOST_WAITING:
+                self._waiting.append(command)
+            else:
+                self._lost += 1
+        self.wake()
 
     def wake(self) -> None:
         """End the waiting of `take`, from any thread."""
-        self._new.put(None)
+        with self._changed:
+            self._is_new = True
+            self._changed.notify()
 
     def take(self, seconds: float) -> Iterator[Command]:
         """Those to be carried out now, each before the next is asked for; waits for the first
         one so long.
         """
-        self._receive(seconds)
+        self.wait(seconds)
         while (command := self._next()) is not None:
             yield command
 
-    def _receive(self, seconds: float) -> None:
-        """Fetch all that is new; a seek that another follows at once is not worth its work."""
-        try:
-            command = self._new.get(timeout=seconds) if seconds else self._new.get_nowait()
-            while command is not None:
-                last = self._waiting[-1] if self._waiting else None
-                if isinstance(command, Seek) and isinstance(last, Seek):
-                    self._waiting.pop()
-                self._waiting.append(command)
-                command = self._new.get_nowait()
-        except queue.Empty:
-            pass
+    def wait(self, seconds: float) -> None:
+        """Wait at most so long for a command, or while one waits, for another."""
+        with self._changed:
+            if self.preparation is not None or not self._waiting:
+                self._changed.wait_for(lambda: self._is_new, seconds)
+            self._is_new = False
+
+    def count_lost(self) -> int:
+        """How many commands were lost since this was asked before."""
+        with self._changed:
+            lost, self._lost = self._lost, 0
+        return lost
+
+    def _forget_vain(self, kind: type) -> None:
+        """Drop the setting that a new one of its kind makes vain, such as while a slider moves."""
+        group = next((group for group in SETTINGS if kind in group), ())
+        for k in reversed(range(len(self._waiting))):
+            if type(self._waiting[k]) is kind and group:
+                del self._waiting[k]
+                return
+            if type(self._waiting[k]) not in group:
+                return
 
     def _next(self) -> Command | None:
         """The next one that need not wait."""
         if self.preparation is not None:
             return self._next_meanwhile(self.preparation)
-        if not self._waiting:
-            return None
-        command = self._waiting.popleft()
+        with self._changed:
+            if not self._waiting:
+                return None
+            command = self._waiting.popleft()
         self.preparation = self._prepare(command)
         return command if self.preparation is None else self._next()
 
     def _next_meanwhile(self, preparation: Preparation) -> Command | None:
         """Pausing; or, once all is compiled, the command that waited for it."""
-        for command in self._waiting:
-            if isinstance(command, Pause):
-                self._waiting.remove(command)
-                return command
+        with self._changed:
+            for command in self._waiting:
+                if isinstance(command, Pause):
+                    self._waiting.remove(command)
+                    return command
         if preparation.is_alive():
             return None
         self.preparation = None

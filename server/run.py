@@ -7,7 +7,7 @@ be made again. Followers are told everything, and may have the run's stretches c
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from hebbviz.learner import Learner
@@ -73,7 +73,10 @@ class Stored(Protocol):
 
 @dataclass(frozen=True)
 class UndoPoint:
-    """All that a change may alter, and what the change was."""
+    """All that a change may alter, and what the change was.
+
+    The points of one run share its log, of which each means what was logged before its moment.
+    """
 
     learner: Learner
     task_name: str
@@ -194,7 +197,9 @@ class Run:
         _look_at_the_same(point.learner, self.learner)
         self.learner, self.task_name = point.learner, point.task_name
         self.learner.restore(point.moment.keyframe)
-        self.log, self.history, self.ghost = list(point.log), point.history.copy(), point.ghost
+        self.log = point.log[: point.moment.logged]
+        self._undo = [replace(p, log=self.log) if p.log is point.log else p for p in self._undo]
+        self.history, self.ghost = point.history.copy(), point.ghost
         self.tape, self.stored = point.tape.until(point.moment.step), point.stored
         return point.words
 
@@ -249,7 +254,7 @@ class Run:
     def _remember(self, words: str) -> None:
         self._undo.append(
             UndoPoint(
-                self.learner, self.task_name, self.moment(), list(self.log), self.history.copy(),
+                self.learner, self.task_name, self.moment(), self.log, self.history.copy(),
                 self.tape, self.stored, self.ghost, words,
             )
         )  # fmt: skip

@@ -6,6 +6,7 @@ the commands one by one.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 
@@ -37,6 +38,7 @@ from server.commands import (
 from server.estimate import Estimating
 from server.evaluation import Evaluator, evaluates_by_itself
 from server.fork import Difference, Fork
+from server.inflow import Allowance
 from server.recording.recordings import Options, Recordings
 from server.run import Run
 from server.showing import Showing
@@ -46,6 +48,8 @@ from server.tempo import Tempo
 
 SAME_GESTURE_SECONDS = 0.7
 """Changes of one kind closer together than this are one for undo: a slider being dragged."""
+
+RECORDINGS_A_MINUTE = 6
 
 
 class Session:
@@ -73,6 +77,7 @@ class Session:
         self.error: str | None = None
         self.run_number = 0
         self._last_change: tuple[type[object], float] = (object, 0.0)
+        self._begins_recordings = Allowance(RECORDINGS_A_MINUTE, 60.0)
         self._settle_speed()
         if in_the_past:
             self.showing.visit().seek(0)
@@ -164,7 +169,7 @@ class Session:
             case Evaluate():
                 self._evaluate()
             case StartRecording(name):
-                self.recordings.start_named(name)
+                self._start_recording(name)
             case StopRecording():
                 self.recordings.stop()
             case _:
@@ -252,6 +257,14 @@ class Session:
                 words=f"keeping the copy with {fork.difference}",
             )  # fmt: skip
             self._renew()
+
+    def _start_recording(self, name: str) -> None:
+        """Each one takes a file and threads, so a page may not start them as fast as it can."""
+        wait = self._begins_recordings.wait(time.monotonic())
+        if wait:
+            most = f"at most {RECORDINGS_A_MINUTE} recordings may begin in a minute"
+            raise ValueError(f"{most}: try again in {math.ceil(wait)} s")
+        self.recordings.start_named(name)
 
     def _evaluate(self) -> None:
         if not self.evaluator.is_free():

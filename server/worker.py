@@ -14,12 +14,16 @@ from hebbviz.learner import TaskError
 from server.commands import Command
 from server.history import Totals
 from server.inbox import Inbox
+from server.inflow import TimeShare
 from server.picture import Picture
 from server.preparing import prepare
 from server.session import Session
 
 PICTURES_PER_SECOND = 32.0
 """A little over 30, so that 30 that differ reach the page."""
+
+COMMANDS_SHARE, COMMANDS_SECONDS = 1 / 3, 1.0
+"""Commands take this part of the time at most, and at first so long, while the run is to go on."""
 
 
 class Worker(threading.Thread):
@@ -32,6 +36,7 @@ class Worker(threading.Thread):
         self._fresh = threading.Condition()
         self._picture: Picture | None = None
         self._stopping = threading.Event()
+        self._for_commands = TimeShare(COMMANDS_SHARE, COMMANDS_SECONDS)
 
     def send(self, command: Command) -> None:
         """Ask for something; from any thread, never blocks."""
@@ -80,12 +85,27 @@ class Worker(threading.Thread):
         return self._inbox.preparation is None and self._session.is_due()
 
     def _obey(self, wait: float) -> None:
-        """Carry out what has come in; where nothing has, wait for it."""
-        for command in self._inbox.take(wait):
-            try:
-                self._session.carry_out(command)
-            except (ValueError, TaskError) as error:
-                self._session.notice(str(error))
+        """Carry out what has come in; where nothing has, wait for it.
+
+        However many commands come, the run goes on for most of the time.
+        """
+        if self._is_due() and not self._for_commands.is_left(time.monotonic()):
+            return
+        self._inbox.wait(wait)
+        began = time.monotonic()
+        for command in self._inbox.take(0.0):
+            self._carry_out(command)
+            if not self._for_commands.is_left(time.monotonic(), spent=time.monotonic() - began):
+                break
+        self._for_commands.spend(time.monotonic() - began)
+        if lost := self._inbox.count_lost():
+            self._session.notice(f"commands came too fast: {lost} of them were lost")
+
+    def _carry_out(self, command: Command) -> None:
+        try:
+            self._session.carry_out(command)
+        except (ValueError, TaskError) as error:
+            self._session.notice(str(error))
 
     def _publish(self) -> None:
         number = 1 if self._picture is None else self._picture.number + 1

@@ -159,7 +159,7 @@ def test_a_stopped_server_waits_for_nobody(monkeypatch: pytest.MonkeyPatch) -> N
             stalled.settimeout(10.0)
             stalled.sendall(OPENING.format(site.port, viser.__version__).encode())
             assert stalled.recv(4096).startswith(b"HTTP/1.1 101 ")
-            wait_until(lambda: len(site.server.gate.connections) == 2)
+            wait_until(lambda: len(site.server.gate.crowd) == 2)
             site.server.stop()
             serving = site.server._websock_server._server_thread
             serving.join(60.0)

@@ -1,15 +1,24 @@
-"""Commands come out in the order in which they came in, but for what waits and what is in vain."""
+"""Commands come out in the order in which they came in, but for what waits and what is vain."""
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from server.commands import Choose, Command, Pause, Reset, Seek, SetBeta
-from server.inbox import Inbox
+from server.commands import (
+    Choose,
+    Command,
+    GiveReward,
+    Pause,
+    Reset,
+    Seek,
+    SetBeta,
+    SetGamma,
+    SetWatch,
+)
+from server.inbox import MOST_WAITING, SETTINGS, Inbox
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,15 +47,53 @@ def take(box: Inbox, *commands: Command) -> list[Command]:
 some = st.one_of(
     st.builds(Seek, st.integers(0, 3)),
     st.builds(Pause, st.booleans()),
-    st.sampled_from([SetBeta(0.5), Reset(), Choose("synapse")]),
+    st.builds(SetBeta, st.sampled_from([0.1, 0.2])),
+    st.builds(SetGamma, st.sampled_from([0.1, 0.2])),
+    st.sampled_from([Reset(), Choose("synapse")]),
 )
 
 
+def stretches(commands: list[Command]) -> list[list[Command]]:
+    """Cut where something else than a setting of the same group comes."""
+    cut: list[list[Command]] = []
+    group: object = None
+    for command in commands:
+        of = next((g for g in SETTINGS if type(command) in g), None)
+        if of is None or of is not group:
+            cut.append([])
+        cut[-1].append(command)
+        group = of
+    return cut
+
+
 @given(st.lists(some))
-def test_all_but_a_seek_before_a_seek_come_out_in_order(commands: list[Command]) -> None:
-    followed = pairwise([*commands, None])
-    left = [a for a, b in followed if not (isinstance(a, Seek) and isinstance(b, Seek))]
+def test_the_last_of_each_setting_wins_and_all_else_comes_out_in_order(
+    commands: list[Command],
+) -> None:
+    left: list[Command] = []
+    for stretch in stretches(commands):
+        last = {type(c): k for k, c in enumerate(stretch)}
+        left += [stretch[k] for k in sorted(last.values())]
     assert take(inbox(), *commands) == left
+
+
+def test_settings_in_turn_leave_one_of_each_however_many_come() -> None:
+    box = inbox()
+    for k in range(100_000):
+        box.put(SetBeta(k / 100_000))
+        box.put(SetGamma(k / 100_000))
+    assert len(box) == 2
+    assert list(box.take(0.0)) == [SetBeta(0.99999), SetGamma(0.99999)]
+    assert box.count_lost() == 0
+
+
+def test_it_is_bounded_and_counts_what_was_lost() -> None:
+    box = inbox()
+    for _ in range(MOST_WAITING + 50):
+        box.put(GiveReward(1.0))
+    assert len(box) == MOST_WAITING
+    assert list(box.take(0.0)) == [GiveReward(1.0)] * MOST_WAITING
+    assert (box.count_lost(), box.count_lost()) == (50, 0)
 
 
 def test_what_comes_after_one_that_waits_waits_too_but_for_pausing() -> None:
@@ -60,7 +107,7 @@ def test_what_comes_after_one_that_waits_waits_too_but_for_pausing() -> None:
 
     box, pause = inbox(prepare), Pause(paused=True)
     first, second = Choose("synapse"), Choose("sonar")
-    before, between, after = SetBeta(0.1), SetBeta(0.2), SetBeta(0.3)
+    before, between, after = SetWatch(on=True), SetBeta(0.2), SetBeta(0.3)
     assert take(box, before, first, between, pause, second, after) == [before, pause]
     assert take(box, pause, Reset()) == [pause]
     begun[0].done = True

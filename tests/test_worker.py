@@ -6,12 +6,14 @@ import contextlib
 import re
 import threading
 import time
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from raw_client import wait_until
 
 from hebbviz import rules
 from hebbviz.learner import Learner, TaskError
@@ -37,15 +39,19 @@ from server.commands import (
     SetWatchSpeed,
     ShowReward,
     StartFork,
+    StartRecording,
     StepOnce,
+    StopRecording,
     Undo,
 )
 from server.fork import NO_MEMORY
 from server.history import CAPACITY, History, Totals
 from server.learning import evaluated
 from server.picture import Picture
-from server.run import Run
-from server.session import Session
+from server.recording.recordings import Options, Recordings
+from server.run import Follower, Run
+from server.session import RECORDINGS_A_MINUTE, Session
+from server.tape import Moment
 from server.watch import EXCERPT_SECONDS, LEAD, TAIL, Watch
 from server.worker import Worker
 from sims.loading import make_task
@@ -53,9 +59,10 @@ from sims.pendulum import Pendulum
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
+    from hebbviz.moments import Block
     from server.run import MakeTask
-    from server.tape import Moment
 
 
 class Breaks(Task):
@@ -87,6 +94,20 @@ def make(name: str, preset: str | None = None) -> Task:
 
 def new_run(task: str = "pendulum", **options: Any) -> Run:
     return Run(Learner(make(task), **options), make)
+
+
+class Steps(Follower):
+    """When steps were made."""
+
+    def __init__(self) -> None:
+        self.at: list[float] = []
+
+    def block(self, run: Run, block: Block) -> None:
+        self.at.append(time.monotonic())
+
+    def between(self, times: list[float]) -> list[int]:
+        """How many stretches were made between each two times."""
+        return [sum(a < t < b for t in self.at) for a, b in pairwise(times)]
 
 
 def go_to(run: Run, step: int) -> None:
@@ -175,6 +196,94 @@ def test_undo_returns_to_the_moment_before(change: Any) -> None:
     np.testing.assert_array_equal(run.history.curves().lane(0).end, curve.end)
     run.undo()
     assert (run.learner.step, run.log, run.undo()) == (400, [], None)
+
+
+def test_all_points_to_go_back_to_share_one_log() -> None:
+    """A copy for each would take longer with each change: the run would stop in a flood of them."""
+    run = new_run()
+    for k in range(100):
+        go_to(run, 3 * k)
+        run.change(SetBeta(k / 100))
+        run.change(SetGamma(k / 100))
+    assert all(point.log is run.log for point in run._undo)
+    for back in range(1, 7):
+        run.undo()
+        assert len(run.log) == 200 - back
+        assert all(point.log is run.log for point in run._undo)
+    assert_same(fresh(run, run.learner.step), run.learner)
+    run.change(GiveReward(1.0))
+    run.undo()
+    assert run.log[-1] == Logged(3 * 96, SetGamma(0.96))
+
+
+def test_a_taken_over_run_can_be_undone_with_the_whole_log() -> None:
+    run = new_run()
+    go_to(run, 300)
+    run.change(SetBeta(0.7))
+    go_to(run, 600)
+    run.change(SetBeta(0.8))
+    log = list(run.log)
+    replay = run.replay(Moment(new_run().learner.keyframe(), 0))
+    replay.go_to(400)
+    run.take_over(replay)
+    assert run.log == log[:1]
+    run.change(SetBeta(0.1))
+    run.undo()
+    run.undo()
+    assert run.log == log and run.learner.step == 600
+    run.undo()
+    assert run.log == log[:1] and run.learner.step == 600
+
+
+def test_recordings_begin_at_most_so_many_times_a_minute(tmp_path: Path) -> None:
+    run, said = new_run("synapse"), []
+    recordings = Recordings(run, Options(folder=tmp_path), on_notice=said.append)
+    session = Session(run, on_notice=said.append, recordings=recordings)
+    for k in range(RECORDINGS_A_MINUTE):
+        session.carry_out(StartRecording(f"{k}.rrd"))
+        session.carry_out(StopRecording())
+    with pytest.raises(ValueError, match="in a minute: try again in"):
+        session.carry_out(StartRecording("one more.rrd"))
+    assert len(list(tmp_path.iterdir())) == RECORDINGS_A_MINUTE
+    assert said == []
+
+
+def test_commands_leave_the_run_most_of_the_time() -> None:
+    """However many come, and however long each takes."""
+    steps, made = Steps(), []
+
+    class Slow(Session):
+        def carry_out(self, command: Command) -> None:
+            made.append(time.monotonic())
+            time.sleep(0.02)
+
+    run = new_run("synapse")
+    run.followers.append(steps)
+    worker = Worker(Slow(run, on_notice=print))
+    assert worker._for_commands.is_left(time.monotonic())
+    worker._for_commands.spend(1.0)  # what was saved up
+    worker._session.tempo.set_speed("max")
+    for _ in range(15):
+        worker.send(GiveReward(1.0))
+    worker.start()
+    wait_until(lambda: len(made) == 15, 30)
+    worker.stop()
+    worker.join()
+    assert sum(n > 0 for n in steps.between(made)) > 7
+
+
+def test_commands_that_come_together_act_at_one_step() -> None:
+    run = new_run("synapse")
+    worker = Worker(Session(run, on_notice=print))
+    worker._session.tempo.set_speed("max")
+    worker.send(Reset(seed=5))
+    worker.send(GiveReward(1.0))
+    worker.send(SetBeta(0.5))
+    worker.start()
+    wait_until(lambda: len(run.log) == 2, 30)
+    worker.stop()
+    worker.join()
+    assert [logged.step for logged in run.log] == [0, 0]
 
 
 @pytest.mark.parametrize(
