@@ -37,6 +37,7 @@ from server.recording import header, take, thinning
 from server.recording.reader import BadRecording, Recording, open_recording
 from server.recording.recorder import Recorder
 from server.recording.recordings import Options, Recordings
+from server.recording.streams import Stream
 from server.recording.targets import FileTarget, StreamTarget
 from server.recording.thinning import Plan, Thinning, parse_budget
 from server.run import Run
@@ -556,8 +557,8 @@ class Blocked:
     def __init__(self, path: Path) -> None:
         self._path, self.free = path, threading.Event()
 
-    def open(self, number: int) -> rr.RecordingStream:
-        stream = rr.RecordingStream("hebbviz", recording_id="slow")
+    def open(self, number: int) -> Stream:
+        stream = Stream("slow")
         stream.set_sinks(rr.FileSink(self._path, write_footer=True))
         flush = stream.flush
 

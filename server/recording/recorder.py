@@ -44,6 +44,7 @@ class Recorder(Follower):
         self._target, self._budget, self._detail = target, budget, detail
         self._notice = on_notice
         self._takes: list[Take] = []
+        self._begun = 0
         self._error: str | None = None
         self._closing: threading.Thread | None = None
         self._open_take: Take | None = self._new_take(run)
@@ -128,10 +129,11 @@ class Recorder(Follower):
         header = _header(run, self._budget, self._detail)
         weight = run.learner.weights[:, run.learner.watch]
         target = copy(self._target)  # the take before may still be writing to its own file
-        stream = target.open(len(self._takes) + 1)
+        stream = target.open(self._begun + 1)
         take = Take(stream, target, header, task, weight, on_notice=self._notice)
         take.begin(run.learner, run.moment().lane(run.learner.watch))
-        self._takes.append(take)
+        self._begun += 1
+        self._takes = [*(one for one in self._takes if one.is_stuck), take]
         return take
 
 

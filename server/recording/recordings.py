@@ -136,5 +136,6 @@ class Recordings:
             on_notice=self._notice,
         )  # fmt: skip
         self._run.followers.append(recorder)
-        self._begun.append(recorder)
+        goes_on = (r for r in self._begun if r in self._run.followers or r.is_stuck)
+        self._begun = [*goes_on, recorder]
         return recorder

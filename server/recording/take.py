@@ -15,7 +15,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import rerun as rr
 from numpy.typing import NDArray
 
 from hebbviz.learner import Learner
@@ -25,6 +24,7 @@ from server.commands import Logged
 from server.recording.header import Header
 from server.recording.scene import MOST_LIT
 from server.recording.status import Status
+from server.recording.streams import Stream
 from server.recording.targets import Target
 from server.recording.thinning import FULL, Plan, Thinning
 from server.recording.writer import Writer
@@ -58,7 +58,7 @@ class Take(threading.Thread):
 
     def __init__(
         self,
-        stream: rr.RecordingStream,
+        stream: Stream,
         target: Target,
         header: Header,
         task: Task,
@@ -224,11 +224,11 @@ class Take(threading.Thread):
     def run(self) -> None:
         try:
             self._write_all(self._writer())
-            self._stream.disconnect()
+            self._stream.let_go()
         except Exception as error:
             self._fail(f"{type(error).__name__}: {error}".splitlines()[0][:200])
             # where a disk is full this may never return
-            self._giving_up = threading.Thread(target=self._stream.disconnect, daemon=True)
+            self._giving_up = threading.Thread(target=self._stream.let_go, daemon=True)
             self._giving_up.start()
 
     def _writer(self) -> Writer:

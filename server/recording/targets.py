@@ -6,14 +6,13 @@ import contextlib
 import os
 import shutil
 import socket
-import uuid
 from pathlib import Path
 
 import rerun as rr
 
+from server.recording.streams import Stream
 from server.terminal import reason
 
-APPLICATION = "hebbviz"
 DEFAULT_STREAM_PORT = 9876
 RESERVE = 4_000_000
 """Bytes left free on a disk, so that a recording can be ended whole."""
@@ -35,14 +34,14 @@ class FileTarget:
         self._first = path if path.suffix == ".rrd" else path.with_name(f"{path.name}.rrd")
         self.path = self._first
 
-    def open(self, number: int) -> rr.RecordingStream:
+    def open(self, number: int) -> Stream:
         """The stream of the `number`-th run, from 1 on."""
         stem = self._first.stem + (f"-{number}" if number > 1 else "")
         path = self._first.with_name(f"{stem}.rrd")
         path.open("xb").close()
         self.path = path
         try:
-            stream, _ = _stream()
+            stream = Stream()
             # a footer would be an index of all chunks, kept in memory: 24 MB more each minute
             stream.set_sinks(rr.FileSink(path, write_footer=False))
             self._inode = path.stat().st_ino
@@ -88,7 +87,7 @@ class StreamTarget:
     def __init__(self, port: int = DEFAULT_STREAM_PORT) -> None:
         self.port = _free_port(port)
         self.url = f"rerun+http://127.0.0.1:{self.port}/proxy"
-        self._hub, self._first_id = _stream()
+        self._hub = Stream()
         self._hub.set_sinks(
             rr.GrpcServerSink(
                 bind_ip="127.0.0.1", port=self.port, server_memory_limit="256MiB",
@@ -96,12 +95,12 @@ class StreamTarget:
             )
         )  # fmt: skip
 
-    def open(self, number: int) -> rr.RecordingStream:
+    def open(self, number: int) -> Stream:
         """A stream of its own for each run, through the one server.
 
         The server's own passes for the first run's, or viewers would show an empty one as well.
         """
-        stream, _ = _stream(self._first_id if number == 1 else None)
+        stream = Stream(self._hub.identity if number == 1 else None)
         stream.set_sinks(rr.GrpcSink(self.url))
         return stream
 
@@ -112,16 +111,10 @@ class StreamTarget:
         return None
 
     def close(self) -> None:
-        self._hub.disconnect()
+        self._hub.let_go()
 
 
 Target = FileTarget | StreamTarget
-
-
-def _stream(identity: str | None = None) -> tuple[rr.RecordingStream, str]:
-    """A stream and its identity, by default a new one."""
-    identity = identity or str(uuid.uuid4())
-    return rr.RecordingStream(APPLICATION, recording_id=identity), identity
 
 
 def _free_port(port: int) -> int:

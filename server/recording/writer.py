@@ -25,6 +25,7 @@ from server.recording.blueprint import blueprint, curves_of, log_curve
 from server.recording.header import Header, change_to_json, entity
 from server.recording.rows import Rows
 from server.recording.scene import Scene
+from server.recording.streams import Stream
 from server.tape import Moment
 
 Array = NDArray[np.float64]
@@ -34,7 +35,7 @@ class Writer:
     """Writes one run into a stream; `flush` sends what was gathered."""
 
     def __init__(
-        self, stream: rr.RecordingStream, header: Header, task: Task, weight: Array, *, live: bool
+        self, stream: Stream, header: Header, task: Task, weight: Array, *, live: bool
     ) -> None:
         """`weight` (synapses,) chooses those drawn of a large network; `live` follows the end."""
         self._stream, self._header = stream, header
@@ -45,7 +46,7 @@ class Writer:
         self._ended_at = header.step
         self._last_readings: Array | None = None
         self._totals = header.edges[-1]
-        stream.send_blueprint(blueprint(task, header.topology, live=live))
+        stream.send_page(blueprint(task, header.topology, live=live))
         self._say_header()
         self._name_series()
         self._scene = Scene(stream, task, header.topology, self._rows, weight=weight)
