@@ -15,6 +15,7 @@ semi-implicit Euler step makes the energy of the unstable rod explode at 0.02 s.
 """
 
 import math
+import weakref
 
 import numpy as np
 import pymunk
@@ -48,17 +49,9 @@ class Arena:
     """
 
     def __init__(self) -> None:
-        """Build the space: a disc that cannot turn, and four static walls, all elastic."""
-        self._space = pymunk.Space()
-        self._space.collision_slop = _NO_PUSHING_OUT
-        self._puck = pymunk.Body(PLANT.puck_mass, float("inf"))
-        disc = pymunk.Circle(self._puck, PLANT.puck_radius)
-        ground = self._space.static_body
-        walls = [pymunk.Segment(ground, start, end, _WALL_RADIUS) for start, end in _WALLS]
-        for shape in (disc, *walls):
-            shape.elasticity = 1.0
-            shape.friction = 0.0
-        self._space.add(self._puck, disc, *walls)
+        """Take a space that no other arena has."""
+        self._space, self._puck = room = _room()
+        weakref.finalize(self, _rooms.append, room).atexit = False
         self._space_pointer = self._space._space  # noqa: SLF001
         self._puck_pointer = self._puck._body  # noqa: SLF001
 
@@ -94,6 +87,35 @@ class Arena:
                 h, end[:] = rebound(state, *thrust, PLANT.friction, h, *inward)
             state, left = end, left - h
         return end
+
+
+Room = tuple[pymunk.Space, pymunk.Body]
+
+_rooms: list[Room] = []
+"""Spaces that no arena has any more. None is ever freed: pymunk takes a space apart shape by shape,
+and where Python's collector frees one of them in another thread meanwhile, the program crashes.
+"""
+
+
+def _room() -> Room:
+    try:
+        return _rooms.pop()
+    except IndexError:
+        return _new_room()
+
+
+def _new_room() -> Room:
+    """A space with a disc that cannot turn, and four static walls, all elastic."""
+    space = pymunk.Space()
+    space.collision_slop = _NO_PUSHING_OUT
+    puck = pymunk.Body(PLANT.puck_mass, float("inf"))
+    disc = pymunk.Circle(puck, PLANT.puck_radius)
+    walls = [pymunk.Segment(space.static_body, a, b, _WALL_RADIUS) for a, b in _WALLS]
+    for shape in (disc, *walls):
+        shape.elasticity = 1.0
+        shape.friction = 0.0
+    space.add(puck, disc, *walls)
+    return space, puck
 
 
 def _inward(change: float) -> float:

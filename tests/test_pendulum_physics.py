@@ -1,7 +1,10 @@
 """The laws the puck, its pendulum and their walls obey."""
 
 import math
+import subprocess
+import sys
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -500,3 +503,33 @@ def test_a_restart_is_upright_at_rest_near_the_centre() -> None:
     assert restart(0.5, 0.75) == (0.0, 0.25, 0, 0, 0, 0, 1, 0, 0, 0)
     assert not fallen(restart(0.5, 0.5))
     assert fallen((0, 0, 0, 0, 1.0, 0, 0.0, 0, 0, 0))
+
+
+COLLECTED = """
+import gc, sys, threading, time
+from sims.arena import Arena
+
+end = time.monotonic() + 1.5
+sys.setswitchinterval(1e-5)
+gc.set_threshold(20)
+
+def make():
+    while time.monotonic() < end:
+        Arena()
+
+def collect():
+    while time.monotonic() < end:
+        gc.collect(0)
+
+threads = [threading.Thread(target=work) for work in (make, make, collect)]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+"""
+
+
+def test_arenas_come_and_go_in_several_threads():
+    """In a process of its own: where pymunk frees a space, it crashes in most runs."""
+    root = Path(__file__).parents[1]
+    subprocess.run([sys.executable, "-c", COLLECTED], cwd=root, check=True, timeout=60)
