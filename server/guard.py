@@ -15,6 +15,7 @@ import logging
 import os
 import socket
 import threading
+import time
 import types
 from collections.abc import Awaitable, Callable, Iterable, Iterator
 from http import HTTPStatus
@@ -30,6 +31,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 from websockets.http11 import Request, Response
+from websockets.protocol import SEND_EOF
 
 from server import admission, message_buffer, readers
 from server.crowd import Crowd, tell_shortages
@@ -48,6 +50,7 @@ from server.refusal import Refused
 
 MAX_MESSAGE_BYTES = 2**20
 SETTLE_SECONDS = 1.0  # between the refusal of a value and showing the true one, see `Gate._refuse`
+LONG_SECONDS = 0.001  # for taking apart what came at once over a connection
 PORTS_TRIED = 100
 FAREWELL_SECONDS = 0.3  # for connections to be closed politely when the server stops
 
@@ -311,11 +314,29 @@ class _Connection(ServerConnection):
         self.gate.crowd.leave(self)
         super().connection_lost(exc)
 
+    def data_received(self, data: bytes) -> None:
+        """Take apart what came, such as a flood of pings, for a fifth of the time at most."""
+        began = time.perf_counter()
+        super().data_received(data)
+        spent = time.perf_counter() - began
+        if spent > LONG_SECONDS:
+            self.transport.pause_reading()
+            self.loop.call_later(4.0 * spent, self._read_on)
+
+    def _read_on(self) -> None:
+        if not self.recv_messages.paused:  # else it reads on once its messages are taken
+            self.transport.resume_reading()
+
     def send_data(self) -> None:
-        """Send what is to be sent, unless nobody is there: asyncio would complain of each."""
-        if self.transport.is_closing():
-            self.protocol.data_to_send()
-        else:
+        """Send what is to be sent, in one piece, unless nobody is there any more.
+
+        Each piece that is sent to nobody, such as the answers to a flood of pings, would be a line
+        of asyncio's on the terminal.
+        """
+        pieces = self.protocol.data_to_send()
+        if not self.transport.is_closing():
+            data, is_end = b"".join(pieces), pieces[-1:] == [SEND_EOF]
+            self.protocol.writes = [data] * bool(data) + [SEND_EOF] * is_end
             super().send_data()
 
     async def recv(self, decode: bool | None = None) -> Any:

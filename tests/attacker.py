@@ -145,8 +145,18 @@ async def visit(port: int, until: float) -> None:
             await asyncio.sleep(0.01)
 
 
+async def ping(port: int, until: float) -> None:
+    """Pings, as many as are taken; their answers are not read."""
+    connection = await page(port)
+    connection.transport.pause_reading()
+    frames = b"\x89\x80\0\0\0\0" * 10_000
+    while time.monotonic() < until and not connection.transport.is_closing():
+        connection.transport.write(frames)
+        await connection.drain()
+
+
 CROWDS: dict[str, Callable[[int, float], Awaitable[None]]] = {
-    "sockets": sit, "dumb": dumb, "visits": visit,
+    "sockets": sit, "dumb": dumb, "visits": visit, "pings": ping,
 }  # fmt: skip
 
 

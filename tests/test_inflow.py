@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import struct
+import subprocess
+import sys
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
+import viser
 from hypothesis import given
 from hypothesis import strategies as st
 from raw_client import CAMERA, RawClient, wait_until
@@ -19,6 +24,7 @@ from server import crowd, guard, inflow
 from server.guard import GuardedServer
 from server.inflow import MESSAGES_PER_SECOND, MOST_PRESSES, Allowance, Inflow, TimeShare
 
+ROOT = Path(__file__).parents[1]
 some = st.lists(st.tuples(st.sampled_from(["camera", "β", None]), st.binary(max_size=3)))
 
 
@@ -187,3 +193,74 @@ def test_each_request_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
         for _ in range(8):
             assert status(server, "/none")[0] == 404
     assert asked.count(0.0) == 8
+
+
+def upgraded(port: int) -> socket.socket:
+    """A websocket, to be written to by hand."""
+    wire = socket.create_connection(("127.0.0.1", port))
+    request = ["GET / HTTP/1.1", f"Host: 127.0.0.1:{port}", "Upgrade: websocket"]
+    request += ["Connection: Upgrade", "Sec-WebSocket-Version: 13"]
+    request += ["Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ=="]
+    request += [f"Sec-WebSocket-Protocol: viser-v{viser.__version__}", "", ""]
+    wire.sendall("\r\n".join(request).encode())
+    assert wire.recv(12) == b"HTTP/1.1 101"
+    return wire
+
+
+def test_a_client_that_leaves_amid_its_pings_is_not_complained_of(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    with opened([]) as server:
+        for _ in range(3):
+            with upgraded(server.get_port()) as wire:
+                wire.settimeout(0.2)
+                with contextlib.suppress(TimeoutError):
+                    wire.sendall(b"\x89\x80\0\0\0\0" * 20_000)
+                wire.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        wait_until(lambda: server.gate is not None and not server.gate.crowd, 30)
+    assert [r.getMessage() for r in caplog.records if r.name == "asyncio"] == []
+
+
+FEW_FILES = """
+import resource, sys
+from server import crowd, guard
+crowd.MOST_CONNECTIONS, limit = int(sys.argv[1]), (50, 50)
+crowd_of_limit = sys.argv[1] == "128"
+if crowd_of_limit:
+    resource.setrlimit(resource.RLIMIT_NOFILE, limit)
+server = guard.open_server(port=0, on_refusal=lambda line: print(line, flush=True))
+if not crowd_of_limit:
+    resource.setrlimit(resource.RLIMIT_NOFILE, limit)
+print(server.get_port(), flush=True)
+sys.stdin.read()
+server.stop()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="it has no such limit")
+@pytest.mark.parametrize("most", [128, 1000])
+def test_a_shortage_of_files_is_one_line_and_no_end(most: int) -> None:
+    """However few: fewer connections are let in. What is short all the same is told once."""
+    program = [sys.executable, "-c", FEW_FILES, str(most)]
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(program, **pipes, stderr=subprocess.STDOUT, text=True, cwd=ROOT) as short:
+        assert short.stdout is not None
+        port = int(short.stdout.readline())
+        with contextlib.ExitStack() as crowded:
+            for _ in range(100):
+                wire = socket.create_connection(("127.0.0.1", port))
+                crowded.enter_context(wire)
+            if most > 128:
+                assert "too many files are open" in short.stdout.readline()
+        wait_until(lambda: fetched(port), 30)
+        said, _ = short.communicate("")
+    assert "Traceback" not in said and said.count("\n") <= 1
+    assert short.returncode == 0
+
+
+def fetched(port: int) -> bool:
+    try:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=5) as answer:
+            return bool(answer.status == 200)
+    except OSError:
+        return False
