@@ -10,7 +10,7 @@ import viser
 from numpy.typing import NDArray
 
 from hebbviz.poisson import time_to_event
-from hebbviz.task import Measure, Task
+from hebbviz.task import Measure, Tally, Task
 from server import palette, spread, words
 from server.charts import Chart, Cursor, Points
 from server.commands import GiveReward
@@ -18,6 +18,7 @@ from server.evaluation import Evaluation
 from server.history import Curve
 from server.palette import Rgb, Theme
 from server.picture import Other, Picture
+from server.pooling import ENOUGH, latest, pooled_curve
 from server.spread import Scores, Spread
 
 Array = NDArray[np.float64]
@@ -70,17 +71,17 @@ class Learning:
             curves = picture.curves.coarser(MOST_WINDOWS)
             curve, all_lanes = curves.lane(picture.lane), self._scores.spread(curves)
             newest = self._scores.of(curves)[-1:]
-        points = {self._run: _scores(picture, curve)}
+        points = {self._run: _scores(picture.task, curve)}
         bands: Bands = {}
         if all_lanes is not None:
             points[self._middle], bands[self._middle] = _drawn(all_lanes, task.measure)
         for name, of_copies in _frozen(picture).items():
             points[name], bands[name] = _drawn(of_copies, task.measure)
-        points[self._dots] = _dots(task, curve, all_lanes)
+        points[self._dots] = _dots(task, curve)
         points |= self._earlier(picture)
         more = others(picture)
         if picture.other is not None:
-            points |= dict.fromkeys(more, _scores(picture, since(picture.other)))
+            points |= dict.fromkeys(more, _scores(picture.task, since(picture.other)))
         self._chart.draw(points, marks(picture), bands=bands, cursor=cursor(picture), more=more)
         has_dots = len(points[self._dots][0]) > 0
         self._words.content = _said(picture, curve, newest, has_dots=has_dots)
@@ -93,7 +94,7 @@ class Learning:
         if ghost is None or (self._has_lanes and ghost.lanes == 1):
             return {}
         if ghost.lanes == 1:
-            return {"earlier run": _scores(picture, ghost.lane(0))}
+            return {"earlier run": _scores(picture.task, ghost.lane(0))}
         middle = self._ghost_scores.spread(ghost.coarser(MOST_WINDOWS))
         return {"earlier run": _drawn(middle, picture.task.measure)[0]}
 
@@ -162,24 +163,30 @@ def _drawn(of_lanes: Spread, measure: Measure) -> tuple[Points, tuple[Points, Po
     return (x, np.where(np.isinf(middle), np.nan, middle)), ((x, low), (x, high))
 
 
-def _scores(picture: Picture, curve: Curve) -> Points:
-    """The task's measure of every window; NaN where its event was not seen."""
-    value = np.array([picture.task.score(t).value for t in curve.tallies()])
-    if picture.task.measure.logarithmic:
+def _scores(task: Task, curve: Curve) -> Points:
+    """The task's measure of every window, or of every pool of windows; NaN where it is infinite."""
+    curve = _pooled(task, curve)
+    value = np.array([task.score(t).value for t in curve.tallies()])
+    if task.measure.logarithmic:
         value = np.where(value > 0, value, np.nan)
     return curve.end, np.where(np.isinf(value), np.nan, value)
 
 
-def _dots(task: Task, curve: Curve, all_lanes: Spread | None) -> Points:
-    """Windows without an event, in the lane or in half of all lanes: what the time to it is over,
-    with 95 % confidence.
-    """
+def _dots(task: Task, curve: Curve) -> Points:
+    """Where no event was seen: what the time to it is over, with 95 % confidence."""
+    curve = _pooled(task, curve)
     scores = [task.score(t) for t in curve.tallies()]
     none = np.array([s.events == 0 for s in scores], dtype=bool)
-    if all_lanes is not None:
-        none |= np.isinf(all_lanes.middle)
     over = np.array([time_to_event(s.time, 0)[0] for s in scores])
     return curve.end[none], over[none]
+
+
+def _pooled(task: Task, curve: Curve) -> Curve:
+    return pooled_curve(curve, _events(task, curve)) if task.measure.event else curve
+
+
+def _events(task: Task, curve: Curve) -> Array:
+    return np.array([task.score(t).events or 0 for t in curve.tallies()], dtype=np.float64)
 
 
 def _frozen_names(task: Task) -> list[str]:
@@ -204,16 +211,15 @@ def _frozen(picture: Picture) -> dict[str, Spread]:
 def _said(picture: Picture, curve: Curve, newest: Array | None, *, has_dots: bool) -> str:
     """`newest` (1, lanes): the last window of all lanes."""
     measure = picture.task.measure
-    last = curve.tallies()[-1:]
-    now = "".join(f", now **{words.score(picture.task.score(t), measure)}**" for t in last)
+    now = _now(picture.task, curve)
     if now and newest is not None:
         name, band = spread.names(measure)
         now += f" in lane {picture.lane}; {name} **{words.middle(newest[0], measure)}**"
         now += f" (band: {band})"
-    dots = f" {_dots_words(measure, picture.lanes)}" if has_dots else ""
+    dots = f" Dot: {_DOT.format(event=measure.event)}" if has_dots else ""
     both = "" if picture.other is None else words.compared(picture, picture.other)
     return (
-        f"{both}\n\nEach point sums up {words.steps(curve.window)}{now}.{dots} "
+        f"{both}\n\nEach point sums up {words.steps(curve.window)}{_or_more(measure)}{now}.{dots} "
         f"{_by_hand(picture)} {_changes(picture)} {evaluated(picture)}"
     )
 
@@ -222,9 +228,24 @@ def _dots_name(measure: Measure) -> str:
     return f"no {measure.event}: over this"
 
 
-def _dots_words(measure: Measure, lanes: int) -> str:
-    where = "in the lane watched or in half of the lanes" if lanes > 1 else "in that window"
-    return f"Dots: no {measure.event} {where}, so over this, with 95 % confidence."
+_DOT = "no {event} so far, so the time to it is over this, with 95 % confidence."
+
+
+def _or_more(measure: Measure) -> str:
+    return f", or as many as have {ENOUGH} {measure.event}s" if measure.event else ""
+
+
+def _now(task: Task, curve: Curve) -> str:
+    """The measure of the newest window, or of as many as have enough events."""
+    tallies = curve.tallies()
+    if not tallies:
+        return ""
+    count = latest(_events(task, curve)) if task.measure.event else 1
+    steps = int(curve.steps[-count:].sum())
+    sums = (float(c[-count:].sum()) for c in (curve.reward, curve.broadcast, curve.ended))
+    told = words.score(task.score(Tally(steps, *sums)), task.measure)
+    over = f" over the last {words.steps(steps)}" if task.measure.event else ""
+    return f"; now **{told}**{over}"
 
 
 def _by_hand(picture: Picture) -> str:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hebbviz.task import Measure, Tally, Task
 from server.history import Curves, Totals
+from server.pooling import pooled, pools
 
 Array = NDArray[np.float64]
 
@@ -91,18 +92,24 @@ class Scores:
         self._known: dict[tuple[Totals, Totals], Array] = {}
 
     def of(self, curves: Curves) -> Array:
-        """The values, (windows, lanes)."""
+        """The values, (windows, lanes); of a time to an event those of the pools of windows."""
         windows = list(zip(curves.edges, curves.edges[1:], strict=False))
         known = self._known
         self._known = {w: known[w] if w in known else self._score(*w) for w in windows}
-        return np.array(list(self._known.values())).reshape(-1, curves.lanes)
+        found = np.array(list(self._known.values())).reshape(-1, curves.lanes, 3)
+        value, events, time = np.moveaxis(found, -1, 0)
+        if not self._task.measure.event:
+            return value
+        places = pools(events)
+        events, time = pooled(events, places), pooled(time, places)
+        return np.divide(time, events, out=np.full_like(time, np.inf), where=events > 0)
 
     def spread(self, curves: Curves) -> Spread:
         end = np.array([t.steps for t in curves.edges[1:]], dtype=np.float64)
         return Spread.of(end, self.of(curves), self._task.measure)
 
     def _score(self, start: Totals, end: Totals) -> Array:
-        """Of one window: (lanes,)."""
+        """Of one window: value, events and their time, (lanes, 3)."""
         steps = end.steps - start.steps
-        sums = (end.sums - start.sums).T.tolist()
-        return np.array([self._task.score(Tally(steps, *s)).value for s in sums])
+        scores = [self._task.score(Tally(steps, *s)) for s in (end.sums - start.sums).T.tolist()]
+        return np.array([(s.value, s.events or 0, s.time) for s in scores])

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -40,6 +38,7 @@ from server.fork import BETA, GAMMA, KINDS, Difference, Fork
 from server.history import Curve, Curves, Totals
 from server.making import MOST_SHOWN_LANES
 from server.player import Player
+from server.pooling import ENOUGH, latest, pooled, pooled_curve, pools
 from server.recording.reader import open_recording
 from server.recording.recorder import Recorder
 from server.recording.targets import FileTarget
@@ -180,21 +179,65 @@ def test_lanes_without_an_event_are_longer_than_all_others(seen: list[int], with
     np.testing.assert_allclose(quantiles(values, shares), want, rtol=1e-12)
 
 
-def test_a_dot_of_the_curve_is_what_no_fall_tells() -> None:
-    """Of windows of 10 s: without a fall there is no estimate, and the mean is over 3.3 s."""
+SECONDS = 10.0
+"""Of a window of 500 steps."""
+
+
+def curve_of(falls: list[float]) -> Curve:
+    many, n = np.array(falls, dtype=float), len(falls)
+    return Curve(500, 500.0 * np.arange(1, n + 1), np.full(n, 500.0), -many, -many, many)
+
+
+def test_windows_are_summed_up_until_five_falls() -> None:
+    """So a window with one fall does not show its own length, nor is one without left out."""
     task = make_task("pendulum")
-    end, falls = 500.0 * np.arange(1, 5), np.array([2.0, 0.0, 1.0, 0.0])
-    curve = Curve(500, end, np.full(4, 500.0), -falls, -falls, falls)
-    x, over = learning._dots(task, curve, None)
-    np.testing.assert_array_equal(x, end[[1, 3]])
-    np.testing.assert_allclose(over, 10.0 / -np.log(0.05))
-    picture: Any = SimpleNamespace(task=task)
-    np.testing.assert_allclose(learning._scores(picture, curve)[1], [5.0, np.nan, 10.0, np.nan])
-    lanes = Spread.of(end, np.array([[5.0, np.inf, np.inf]] * 4), task.measure)
-    np.testing.assert_array_equal(learning._dots(task, curve, lanes)[0], end)
+    falls = [9, 5, 0, 2, 0, 1, 3, 0, 0]
+    end, value = learning._scores(task, curve_of(falls))
+    np.testing.assert_array_equal(end, [500, 1000, 4500])
+    np.testing.assert_allclose(value, [10 / 9, 2.0, 70 / 6])
+    assert len(learning._dots(task, curve_of(falls))[0]) == 0
+    end, value = learning._scores(task, curve_of([1, 0]))
+    assert value.tolist() == [20.0], "fewer at the start are one pool"
+    words = learning._now(task, curve_of([9, 1, 0, 3, 1]))
+    assert "8 s (5 falls; 95 %: " in words and "over the last 2,000 steps" in words
+
+
+def test_a_run_that_never_fell_has_no_time_to_fall_but_a_dot() -> None:
+    task = make_task("pendulum")
+    assert np.isnan(learning._scores(task, curve_of([0, 0, 0]))[1]).all()
+    (x,), (over,) = learning._dots(task, curve_of([0, 0, 0]))
+    assert (x, over) == (1500.0, pytest.approx(30.0 / -np.log(0.05)))
+    lanes = Spread.of(np.array([500.0]), np.array([[5.0, np.inf, np.inf]]), task.measure)
     (_, middle), ((_, low), (_, high)) = learning._drawn(lanes, task.measure)
     assert np.isnan(middle).all()
-    assert (high == task.measure.span[1]).all() and (low == high).all()
+    assert high == low == task.measure.span[1]
+
+
+def test_the_curve_is_right_where_windows_are_far_shorter_than_the_time_to_fall() -> None:
+    """Falls by chance, 100 s apart on average, in windows of 10 s: over many runs, all points."""
+    task, coins = make_task("pendulum"), np.random.default_rng(4)
+    curves = [curve_of(coins.poisson(SECONDS / 100.0, 512).tolist()) for _ in range(200)]
+    values = np.concatenate([learning._scores(task, curve)[1] for curve in curves])
+    assert len(values) > 200 * 7
+    error = values.std(ddof=1) / np.sqrt(len(values))
+    assert abs(values.mean() - 100.0) < SECONDS / 2.0 + 4.0 * error, "a pool ends with its window"
+
+
+def test_lanes_are_pooled_each_by_itself() -> None:
+    coins = np.random.default_rng(5)
+    falls = coins.poisson(0.7, (40, 6)).astype(float)
+    falls[:, 5] = 0.0
+    found = pools(falls)
+    for lane in range(5):
+        alone = pooled_curve(curve_of(falls[:, lane].tolist()), falls[:, lane])
+        last = np.append(np.diff(found[:, lane]) > 0, True)
+        np.testing.assert_array_equal(pooled(falls, found)[last, lane], alone.ended)
+        assert (alone.ended >= ENOUGH).all()
+        assert alone.steps.sum() == 40 * 500.0
+        assert falls[-latest(falls[:, lane]) :, lane].sum() >= ENOUGH
+        assert falls[-latest(falls[:, lane]) :, lane][1:].sum() < ENOUGH
+    assert (found[:, 5] == 0).all()
+    assert latest(falls[:, 5]) == 40
 
 
 def test_scores_that_are_known_are_not_made_again_and_stay_true() -> None:
