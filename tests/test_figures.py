@@ -186,7 +186,9 @@ def test_a_figure_does_not_write_over_one_of_another_command(tmp_path, capsys):
     assert main([*argv, "--task", LEVER]) == 0, "its own command makes it again"
 
 
-@pytest.mark.parametrize("name", ["synapse", pytest.param("sonar", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["synapse", *(pytest.param(k, marks=pytest.mark.slow) for k in ("sonar", "pendulum"))]
+)
 def test_the_command_that_a_figure_names_writes_the_same_bytes(made, name, tmp_path):
     first = made(name)
     program, *argv = shlex.split(first.says["command"])
@@ -561,15 +563,16 @@ def test_a_caption_says_what_is_not_as_the_preset_has_it():
 @pytest.mark.parametrize("preset", ["quick", "best", "best:centred=no"])
 def test_the_foot_says_all_of_the_note_within_the_figure(preset, tmp_path):
     plan = Plan(task="sonar", preset=preset, segments=1, segment_steps=1)
-    note = f"{'quick: ' + 'short runs ' * 12}\n{preset_note(plan)}"
+    note = f"{'few of its runs ' * 12}\n{preset_note(plan)}"
     with look():
         figure = blank(2.0)
         axes = figure.add_subplot()
         axes.set_xlabel("steps")
-    save(Sheet(figure, {"step": [1]}, {}, note), tmp_path, "x", Origin("hebbviz figure x", 0))
+    sheet = Sheet(figure, {"step": [1]}, {}, note, quick="short runs")
+    save(sheet, tmp_path, "x", Origin("hebbviz figure x", 0))
     command, *said = (text.get_text() for text in figure.texts)
     assert command.startswith("hebbviz figure x")
-    assert " ".join(reversed(said)).split() == note.split()
+    assert " ".join(reversed(said)).split() == f"quick: short runs {note}".split()
     boxes = [text.get_window_extent() for text in figure.texts]
     assert max(box.x1 for box in boxes) < figure.bbox.x1
     assert max(box.y1 for box in boxes) < axes.get_tightbbox().y0
