@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.moments import Block
+from hebbviz.rules import Rule
+from hebbviz.rules.paper import PAPER
 from hebbviz.topology import Topology
 from server import palette
 from server.palette import Pixels, Rgb, Theme
@@ -33,12 +35,16 @@ def heat_map(values: Array, full: float, positive: Rgb, negative: Rgb, theme: Th
 
 
 def raster(
-    block: Block | None, topology: Topology, theme: Theme, changes: Sequence[int] = ()
+    block: Block | None,
+    topology: Topology,
+    theme: Theme,
+    changes: Sequence[int] = (),
+    rule: Rule = PAPER,
 ) -> Pixels:
     """The spikes of the latest steps, one row a neuron, newest at the right; (height, WIDTH, 3).
 
-    Groups differ in colour; a row above shows what was sent as reward, the brighter the more, and
-    the steps of `changes`.
+    Groups differ in colour; a row above shows the rewards, the brighter the more, and the steps
+    of `changes`. What `rule` sends is not shown but where it is the reward, see `Block.events`.
     """
     rows = topology.neurons
     row = max(2, min(RASTER_ROW, 150 // rows))
@@ -52,9 +58,9 @@ def raster(
         )
         changed = np.isin(block.start + np.arange(len(block.fired)), changes)
         cells[0, seen][changed] = theme.ink
-        sent = block.broadcast / max(np.abs(block.broadcast).max(initial=0.0), 1e-300)
-        shades = palette.signed(sent, palette.REWARD, palette.PUNISHMENT, theme.zero)
-        cells[0, seen][sent != 0.0] = shades[sent != 0.0]
+        came = block.events(rule) / max(np.abs(block.events(rule)).max(initial=0.0), 1e-300)
+        shades = palette.signed(came, palette.REWARD, palette.PUNISHMENT, theme.zero)
+        cells[0, seen][came != 0.0] = shades[came != 0.0]
     pixels = np.repeat(np.repeat(cells, row, axis=0), WIDTH // RASTER_STEPS, axis=1)
     pixels[row::row] = theme.background
     return pixels

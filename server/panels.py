@@ -174,8 +174,9 @@ class Panels:
             self._rate_chart.draw(points, marks(picture))
 
     def _draw_raster(self, picture: Picture) -> None:
+        changes = [c.step for c in picture.changes]
         self._raster_image.image = raster(
-            picture.recent, self._topology, self._theme, [c.step for c in picture.changes]
+            picture.recent, self._topology, self._theme, changes, picture.shown.rule
         )
         recent = picture.recent
         upto = "No step is played yet." if recent is None else (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import numpy as np
@@ -27,6 +28,8 @@ GLOW, FAINT_GLOW = 1.9, 0.7
 """Thickness of the largest weight change, in that of the thickest synapse."""
 WORDS_SECONDS = 0.3
 """Words that change faster than this cannot be read."""
+STANDS_OUT = 10.0
+"""Where a rule sends something at every step, a reward is so many times as large as the last."""
 FEW_STEPS = 25
 """With more steps in a picture, rewards are told as a rate, not as events."""
 
@@ -39,6 +42,7 @@ class Pulse:
         self._pulse_age = PULSE_PICTURES
         self._color: Rgb = palette.REWARD
         self._change = np.zeros(synapses)
+        self._usual = math.inf
         self._followed: tuple[int, int] | None = None
         self._told = ""
         self._unsaid: tuple[str, str] | None = None
@@ -58,8 +62,7 @@ class Pulse:
         is_new = before != self._followed
         if before is None or before[0] != leaps:
             self._since_reward, self._pulse_age = LONG_AGO, PULSE_PICTURES
-        few = 0 < frame.since.steps <= FEW_STEPS
-        arrives = is_new and few and frame.since.tally.broadcast != 0.0
+        arrives = is_new and 0 < frame.since.steps <= FEW_STEPS and self._is_event(frame)
         if arrives:
             self._arrive(frame)
         if is_new:
@@ -69,6 +72,17 @@ class Pulse:
         if not still or self._since_reward < AFTERGLOW_PICTURES // 3:
             self._since_reward += 1
         self._draw(scene)
+
+    def _is_event(self, frame: Frame) -> bool:
+        """Whether a reward came. With a reward baseline m is hardly ever 0: then it is one of the
+        task, or one by hand, which stands out from the picture before.
+        """
+        tally = frame.since.tally
+        if frame.rule == PAPER:
+            return tally.broadcast != 0.0
+        sent = abs(tally.broadcast) / frame.since.steps
+        usual, self._usual = self._usual, sent
+        return tally.reward != 0.0 or sent > STANDS_OUT * usual
 
     def _arrive(self, frame: Frame) -> None:
         """Take in a reward; one that follows closely on another begins no pulse, and glows less."""

@@ -44,10 +44,19 @@ class Pendulum(Task):
     measure = Measure("time to fall", "mean_time_to_fall_s", "s", span=(0.1, 1e4), logarithmic=True,
                       event="fall")  # fmt: skip
     presets = {
+        "baseline": Preset(
+            0.985, 1e-2,
+            "as quick, with a reward baseline, 16 hidden units and a trace a third longer: the "
+            "paper has no baseline, but with one every run of 192 learnt in 10⁶ steps, to stay up "
+            "for over 160 s",
+            {"gains": (1.0, 2.0, 10.0, 2.0)},
+            rule="baseline:time=10000", hidden=(16,),
+        ),
         "quick": Preset(
             0.98, 1e-2,
-            "learns in about two hours of its time, seconds at full speed: γ 10⁴ times the "
-            "paper's, β 0.98 for 0.995, and inputs scaled by 1, 2, 10, 2",
+            "the paper's plain rule: after 10⁶ steps 84 % of runs stay up for over 100 s, one in "
+            "seven for less than 50 s; γ 10⁴ times the paper's, β 0.98 in place of 0.995, and "
+            "inputs scaled by 1, 2, 10, 2",
             {"gains": (1.0, 2.0, 10.0, 2.0)},
         ),
         "raw": Preset(

@@ -39,7 +39,6 @@ def test_the_preset_brings_its_network_rule_and_fall(name):
     assert sizes == preset.hidden != type(learner.task).hidden
     assert isinstance(learner.rule, Baseline)
     assert learner.fall == preset.fall < math.inf
-    assert next(iter(learner.task.presets)) == "quick", "the page opens with what it did"
     other = Learner(make_task(name, "best"), hidden=(3,))
     assert other.topology.describe().split("-")[1] == "3", "--hidden is stronger"
 
@@ -158,8 +157,8 @@ def test_sonar_best_learns_its_training_set():
 
 @pytest.mark.slow
 def test_pendulum_best_leaves_no_run_behind():
-    """Time to fall over the last fifth of 10⁵ s, of 16 runs."""
-    learner = Learner(make_task("pendulum", "best").in_lanes(), lanes=16)
+    """Time to fall over the last fifth of 10⁵ s, of 64 runs."""
+    learner = Learner(make_task("pendulum", "best").in_lanes(), lanes=64)
     learner.skip(4_000_000)
     seconds = [learner.task.score(t).value for t in learner.skip_tallied(1_000_000)]
     assert min(seconds) > 1000.0

@@ -176,7 +176,7 @@ BAD: dict[str, str] = {
     # arguments: a part of the line that says why
     "sing": "'sing'",
     "--task nope": "there is no task 'nope'; choose from pendulum, sonar, synapse",
-    "--preset nope": "no preset 'nope'; choose from quick, raw, paper, literal",
+    "--preset nope": "no preset 'nope'; choose from baseline, quick, raw, paper, literal",
     "--preset quick:gains=no": "has no switch 'gains'; it has none",
     "--task sonar --preset best:mean=no": "has no switch 'mean'; it has centred",
     "--task sonar --preset best:centred=2": "centred, which is set to yes or no, not to '2'",
@@ -463,7 +463,9 @@ def test_no_fall_and_one_are_told_apart(capsys: pytest.CaptureFixture[str]) -> N
 
 def test_train_for_the_eye(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, out, err = run(
-        "train", "--steps", 1000, "--hidden", "3,2", "--save", tmp_path / "x", capsys=capsys
+        *("train", "--preset", "quick", "--steps", 1000, "--hidden", "3,2"),
+        *("--save", tmp_path / "x"),
+        capsys=capsys,
     )
     assert (code, err) == (0, "")
     assert out.startswith("pendulum quick, 8-3-2-2, seed 0, β 0.98, γ 0.01\n1,000 steps in ")

@@ -59,7 +59,8 @@ def test_inspect_says_it_in_words_and_as_json(
     assert found["whole"] is True
     assert main(["inspect", str(folder / "pole.rrd")]) == 0
     said = capsys.readouterr().out
-    assert all(word in said for word in ("pendulum quick", "seed 5", "3,000", "60.00 s", "whole"))
+    words = ("pendulum baseline", "seed 5", "3,000", "60.00 s", "whole")
+    assert all(word in said for word in words)
 
 
 def test_export_writes_what_it_says(

@@ -551,8 +551,8 @@ def test_a_task_may_be_written_in_another_encoding(tmp_path):
 
 def test_a_caption_says_what_is_not_as_the_preset_has_it():
     """Its note tells the preset's own β, which is not in force then."""
-    plan = Plan(task="pendulum", lanes=1, segments=1, segment_steps=1)
-    note = make_task("pendulum").note
+    plan = Plan(task="pendulum", preset="quick", lanes=1, segments=1, segment_steps=1)
+    note = make_task("pendulum", "quick").note
     assert preset_note(plan) == f"preset quick: {note}"
     given = replace(plan, beta=0.9, hidden=(3,), options={"rule": "baseline"})
     assert preset_note(given) == f"preset quick, but another network, β, rule; as it is: {note}"

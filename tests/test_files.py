@@ -108,7 +108,7 @@ def test_files_with_a_wrong_byte_are_told_or_harmless(learner, path, tmp_path):
 @pytest.mark.parametrize("kind", [b"<f4", b"<f2", b">f8", b"<i4"])
 def test_numbers_of_another_kind_are_told(tmp_path, kind):
     """Less of a large entry is read then, and its checksum would not be."""
-    path = save(Learner(make_task("pendulum"), hidden=(300,)), tmp_path / "large.npz")
+    path = save(Learner(make_task("pendulum", "quick"), hidden=(300,)), tmp_path / "large.npz")
     whole = path.read_bytes()
     assert whole.count(b"<f8") == 3
     place = -1

@@ -128,7 +128,7 @@ def test_of_a_large_network_the_largest_synapses_are_drawn() -> None:
 
 
 def test_the_raster_shows_every_spike_at_its_step_and_neuron() -> None:
-    learner = Learner(make_task("pendulum"))
+    learner = Learner(make_task("pendulum", "quick"))
     block = learner.advance(RASTER_STEPS + 40).tail(RASTER_STEPS)
     image = raster(block, learner.topology, palette.DARK)
     row, column = image.shape[0] // 7, WIDTH // RASTER_STEPS
@@ -136,6 +136,17 @@ def test_the_raster_shows_every_spike_at_its_step_and_neuron() -> None:
     np.testing.assert_array_equal(lit.any(axis=2), block.fired.T > 0)
     punished = (image[row // 2, ::column] == palette.PUNISHMENT).all(axis=1)
     np.testing.assert_array_equal(punished, block.broadcast < 0)
+
+
+def test_the_raster_shows_rewards_and_not_what_a_baseline_makes_of_none() -> None:
+    learner = Learner(make_task("pendulum", "baseline"))
+    learner.skip(2000)
+    block = learner.advance(RASTER_STEPS)
+    assert (block.broadcast != 0.0).all()
+    image = raster(block, learner.topology, palette.DARK, rule=learner.rule)
+    row, column = image.shape[0] // 19, WIDTH // RASTER_STEPS
+    lit = (image[row // 2, ::column] != palette.DARK.zero).any(axis=1)
+    np.testing.assert_array_equal(lit, block.ended)
 
 
 def test_a_heat_map_is_neutral_at_zero_and_full_at_its_scale() -> None:
@@ -219,6 +230,22 @@ def test_what_is_said_last_is_of_what_is_seen() -> None:
     count = len(scene.said)
     pulse.follow(still, scene, "nothing new", leaps=0, still=True)  # type: ignore[arg-type]
     assert len(scene.said) == count, "once"
+
+
+@pytest.mark.parametrize("preset", ["baseline", "quick"])
+def test_a_reward_is_told_of_when_it_comes_not_what_a_baseline_makes_of_none(preset: str) -> None:
+    learner, scene = Learner(make_task("pendulum", preset), seed=1), Heard()
+    learner.skip(2000)
+    pulse, rewards = Pulse(learner.topology.synapses), 0
+    learner.frame()
+    for k in range(300):
+        by_hand = 0.5 * (k in {150, 250})
+        learner.give_reward(by_hand)
+        came = bool(learner.advance(1).reward[0]) or by_hand > 0.0
+        pulse.follow(learner.frame(), scene, "", leaps=k, still=True)  # type: ignore[arg-type]
+        assert bool(scene.said[-1][0]) == came
+        rewards += came
+    assert rewards > 5
 
 
 def test_after_a_leap_no_former_reward_is_told_of() -> None:

@@ -30,6 +30,21 @@ def test_quick_is_learnt(world):
     assert np.median([learner.task.score(t).value for t in late]) > 4 * RANDOM
 
 
+@pytest.mark.slow
+def test_the_preset_on_which_the_page_opens_learns_in_every_run():
+    """Of 192 runs, last fifth of 10⁶ steps: none under 50 s, 98 % over 100 s. It was chosen by
+    runs of other seeds.
+    """
+    seconds = []
+    for seed in range(3):
+        learner = Learner(PendulumLanes(), seed=seed, lanes=64)
+        learner.skip(800_000)
+        tallies = learner.skip_tallied(200_000)
+        seconds += [t.steps * PLANT.time_step / max(1.0, t.ended) for t in tallies]
+    assert min(seconds) > 50.0
+    assert np.mean(np.array(seconds) > 100.0) > 0.98
+
+
 def test_without_learning_it_falls_as_under_fair_coins():
     learner = Learner(Pendulum("raw"), gamma=0.0)
     learner.skip(20_000)
@@ -37,7 +52,7 @@ def test_without_learning_it_falls_as_under_fair_coins():
 
 
 def test_reward_is_minus_one_at_falls_and_zero_else():
-    learner = Learner(Pendulum(), gamma=0.0)
+    learner = Learner(Pendulum("quick"), gamma=0.0)
     block = learner.advance(3000)
     assert 30 < block.ended.sum() < 300
     assert np.array_equal(block.reward, np.where(block.ended, -1.0, 0.0))
@@ -80,11 +95,11 @@ def test_what_is_seen_is_the_state_times_the_gains(preset, gains):
     seen = np.array([1.0, 2, 3, 4, 5, 6, 8, 9]) * np.repeat(gains, 2)
     assert np.array_equal(task.observation(state), seen)
     assert [i.gain for i in task.inputs] == np.repeat(gains, 2).tolist()
-    assert [i.unit for i in task.inputs] == ["m", "m", "m/s", "m/s", "rad", "rad", "rad/s", "rad/s"]
+    assert [i.unit for i in task.inputs] == ["m", "m", "m/s", "m/s", *["sine"] * 2, *["1/s"] * 2]
 
 
 def test_the_papers_parameters_are_there():
-    assert Pendulum().preset_name == "quick"
+    assert Pendulum().preset_name == "baseline"
     for preset in ("paper", "literal"):
         task = Pendulum(preset)
         assert (task.preset.beta, task.preset.gamma) == (0.995, 1e-6)

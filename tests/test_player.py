@@ -59,7 +59,7 @@ CHANGED = {300: SetBeta(0.9), 600: SetGamma(2e-3)}
 
 def new_run(task: str = "pendulum", steps: int = STEP, tape: int = 250) -> Run:
     """A run with changes, and with moments on its tape, some at the very step of a change."""
-    run = Run(Learner(make_task(task), seed=2), make_task)
+    run = Run(Learner(make_task(task, "quick"), seed=2), make_task)
     while run.learner.step < steps:
         step = run.learner.step
         if step in CHANGED:
@@ -74,7 +74,7 @@ def new_run(task: str = "pendulum", steps: int = STEP, tape: int = 250) -> Run:
 
 def straight(task: str, step: int) -> Learner:
     """The learner at a step, before the changes of that step."""
-    learner = Learner(make_task(task), seed=2)
+    learner = Learner(make_task(task, "quick"), seed=2)
     for at, change in CHANGED.items():
         if at < step:
             learner.skip(at - learner.step)
@@ -317,7 +317,7 @@ def test_a_fork_differs_in_one_thing_alone(kind: str) -> None:
     if kind == NO_REWARD:
         other.advance(1000, reward=np.zeros(1000))
     elif kind == OTHER_REWARD:
-        donor = Learner(make_task("pendulum"), seed=3)
+        donor = Learner(make_task("pendulum", "quick"), seed=3)
         donor.restore(start)
         other.advance(1000, reward=donor.advance(1000).broadcast)
     else:

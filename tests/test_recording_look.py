@@ -226,7 +226,7 @@ def test_neurons_are_lit_by_their_rate(tmp_path: Path) -> None:
 
 
 def test_a_spike_is_light_that_fades_within_a_few_steps(tmp_path: Path) -> None:
-    learner = Learner(make_task("pendulum"), seed=1)
+    learner = Learner(make_task("pendulum", "quick"), seed=1)
     fired = np.zeros((12, 6), dtype=np.uint8)
     fired[[0, 5], [1, 4]] = 1
     steps = np.arange(12)

@@ -93,7 +93,7 @@ def test_asked_for_nothing_it_maps_the_default_task_into_a_folder_of_its_own(
     monkeypatch.chdir(tmp_path)
     assert main(["sweep", "--lanes", "1", "--steps", "50"]) == 0
     says = json.loads(capsys.readouterr().out)
-    assert (says["task"], says["preset"], len(says["points"])) == ("pendulum", "quick", 1)
+    assert (says["task"], says["preset"], len(says["points"])) == ("pendulum", "baseline", 1)
     assert says["files"] == [
         str(Path("sweep", f"sweep-pendulum.{kind}")) for kind in ("png", "svg", "csv")
     ]
