@@ -10,7 +10,7 @@ import json
 import math
 import os
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hebbviz import npz
 from hebbviz.learner import Learner
 from hebbviz.limits import check_fall, fall_from_json, fall_to_json
 from hebbviz.moments import Keyframe
@@ -91,8 +92,7 @@ def save(learner: Learner, path: str | Path, *, task_name: str | None = None) ->
         header["dtype"] = learner.dtype.__name__
     if not is_first:
         header |= {"rule": str(keyframe.rule), "fall": fall_to_json(keyframe.fall)}
-    names = (*_ARRAYS, _MEMORY) if keyframe.rule.memory else _ARRAYS
-    arrays = {name: getattr(keyframe, name) for name in names}
+    arrays = {name: getattr(keyframe, name) for name in _names(keyframe.rule)}
     write_arrays(target, header, arrays)
     return target
 
@@ -138,20 +138,19 @@ def write_arrays(path: Path, header: Mapping[str, Any], arrays: Mapping[str, Any
 
 
 def read_arrays(
-    path: Path, program: str, newest: int, *, what: str
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    path: Path, program: str, newest: int, *, what: str,
+    names: Callable[[dict[str, Any]], Iterable[str]],
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:  # fmt: skip
     """Header and arrays of a file that `write_arrays` wrote for `program`, of format `newest` or
-    an older one; `what` it is, for the message.
+    an older one; `what` it is, for the message, and by its header the `names` of those to read.
 
     Raises BadFile, with one line, for any other file and for a damaged one, and OSError.
     """
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            if file.zip.testzip() is not None:  # reading stops short of the checksum if damaged
-                raise BadFile(f"{path} is damaged")
-            header = json.loads(str(file["header"]))
+        with npz.opened(path) as file:
+            header = json.loads(file.text("header"))
             _check_origin(path, header, program, newest, what)
-            return header, {name: file[name] for name in file.files if name != "header"}
+            return header, {name: file.array(name) for name in names(header)}
     except (OSError, BadFile):
         raise
     except Exception as error:  # a damaged file makes zipfile, numpy and json raise many kinds
@@ -159,19 +158,21 @@ def read_arrays(
 
 
 def _read(path: Path) -> tuple[Header, dict[str, Any]]:
-    data, found = read_arrays(path, PROGRAM, FORMAT, what=WHAT)
-    try:
-        header = _header(path, data)
-        arrays = {name: np.array(found[name], dtype=np.float64) for name in _ARRAYS}
-        kept = found[_MEMORY] if header.rule.memory else np.zeros((0, header.lanes))
-        arrays[_MEMORY] = np.array(kept, dtype=np.float64)
-    except BadFile:
-        raise
-    except Exception as error:
-        raise BadFile(f"{path} is not a {WHAT}, or it is damaged") from error
-    if any(a.ndim != 2 or a.shape[1] != header.lanes for a in arrays.values()):
+    data, found = read_arrays(
+        path, PROGRAM, FORMAT, what=WHAT, names=lambda data: _names(_header(path, data).rule)
+    )
+    header = _header(path, data)
+    if any(a.ndim != 2 or a.shape[1] != header.lanes for a in found.values()):
         raise BadFile(f"{path} is damaged: an array has a wrong shape")
-    return header, arrays
+    if not header.topology.fits_in(len(found["network"])):
+        raise BadFile(f"{path} is damaged: it holds less than its network")
+    arrays = {name: array.astype(np.float64) for name, array in found.items()}
+    return header, {_MEMORY: np.zeros((0, header.lanes))} | arrays
+
+
+def _names(rule: Rule) -> tuple[str, ...]:
+    """The arrays of a learner with this rule."""
+    return (*_ARRAYS, _MEMORY) if rule.memory else _ARRAYS
 
 
 def _check_origin(path: Path, header: Any, program: str, newest: int, what: str) -> None:

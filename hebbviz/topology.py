@@ -111,6 +111,12 @@ class Topology:
     def synapses(self) -> int:
         return sum(self.shape(p)[0] * self.shape(p)[1] for p in self.projections)
 
+    def fits_in(self, rows: int) -> bool:
+        """Whether a state of so many rows can be one of this network: to be asked before it is
+        made, where a file says how large it is.
+        """
+        return self.synapses + sum(group.size for group in self.groups) <= rows
+
     def group(self, name: str) -> Group:
         return next(g for g in self.groups if g.name == name)
 

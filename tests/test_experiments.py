@@ -22,6 +22,7 @@ from hebbviz.learner import Learner
 from hebbviz.rules import make_rule
 from server.cli import main
 from server.experiments import Interrupted, Plan, open_workers, run, run_all, workers
+from server.experiments import store as store_module
 from server.experiments.plan import joined
 from server.experiments.run import TILE, _completed
 from server.experiments.share import ChangedTask, Tile, WrongVersion, bring_on
@@ -378,3 +379,50 @@ def test_what_the_learner_refuses_ends_the_run():
         run(replace(SONAR, beta=2.0), cores)
     with pytest.raises(ValueError, match="lanes must be 1 or more, got 0"):
         replace(SONAR, lanes=0)
+
+
+def unfit(header, arrays):
+    """A share's header and arrays, changed so that they are not what the plan's run leaves."""
+    first = {"first_lane": 1, "lanes": 4, "pending": 1, "figures": ["error"], "plan": "another"}
+    for name, value in first.items():
+        yield name, header | {name: value}, arrays
+    for name in header:
+        yield f"no {name}", {n: v for n, v in header.items() if n != name}, arrays
+    for name, array in arrays.items():
+        yield f"no {name}", header, {n: a for n, a in arrays.items() if n != name}
+        for what, other in (
+            ("longer", np.concatenate([array, array]) if array.ndim else np.array([array, array])),
+            ("of texts", array.astype(str)), ("of float32", array.astype(np.float32)),
+            ("another", -array - 1 if array.dtype != bool else ~array),
+        ):  # fmt: skip
+            if array.size or what == "of texts":
+                yield f"{name} {what}", header, arrays | {name: other}
+
+
+def resealed(header, arrays):
+    """With a checksum that is right, as whoever changes it on purpose would leave it."""
+    plain = {name: value for name, value in header.items() if name != "sum"}
+    return plain | {"sum": store_module._checksum(plain, arrays)}
+
+
+@pytest.mark.parametrize("on_purpose", [False, True])
+def test_a_share_that_does_not_fit_is_run_again(on_purpose, tmp_path, capsys):
+    store = Store(tmp_path, SONAR)
+    store.write(brought_on(SONAR, Tile(0, 5), 0.0))
+    (file,) = store.folder.iterdir()
+    with np.load(file) as found:
+        arrays = {name: found[name] for name in found.files}
+    header = json.loads(str(arrays.pop("header")))
+    tried = 0
+    for what, changed, others in unfit(header, arrays):
+        said = changed
+        if on_purpose:
+            if what.endswith(("another", "no sum")) or set(others) != set(arrays):
+                continue  # other numbers, as the plan's run might have left them
+            said = resealed(changed, others)
+        np.savez(file, header=np.array(json.dumps(said)), **others)
+        assert store.read() == [], what
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "is put aside" in line, what
+        tried += 1
+    assert tried > 20

@@ -78,6 +78,23 @@ class Tile:
             learner.restore(replace(self.keyframe, rule=learner.rule))
         return learner
 
+    def check_fit(self, plan: Plan) -> None:
+        """Raise ValueError unless it can have come of this plan, which a file may only say."""
+        if not plan.first_lane <= self.first_lane < self.end <= plan.first_lane + plan.lanes:
+            raise ValueError("its lanes are not the plan's")
+        if self.step > plan.steps or type(self.pending) is not bool:
+            raise ValueError("it is beyond the end of the plan")
+        done = self.step // plan.segment_steps
+        steps = [s for s in range(0, self.step + 1, plan.segment_steps) if plan.evaluates_at(s)]
+        made = len(steps) - (self.pending and self.step in steps)
+        if self.totals.shape != (done, 3, self.lanes) or not np.isfinite(self.totals).all():
+            raise ValueError("its totals are not the plan's")
+        if bool(self.figures) != bool(made) or any(
+            values.shape != (made, self.lanes) for values in self.figures.values()
+        ):
+            raise ValueError("its figures are not the plan's")
+        self.learner(plan)
+
     def curves(self, plan: Plan) -> Curves:
         """What came of the segments that are done."""
         ends = plan.segment_steps * np.arange(1, len(self.totals) + 1)

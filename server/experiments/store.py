@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import hashlib
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hebbviz.files import BadFile, read_arrays, write_arrays
 from hebbviz.moments import Keyframe
@@ -49,35 +52,61 @@ class Store:
             "first_lane": tile.first_lane, "lanes": tile.lanes, "figures": list(tile.figures),
             "pending": tile.pending,
         }  # fmt: skip
-        arrays = {_KEYFRAME + name: value for name, value in _numbers(tile.keyframe).items()}
+        arrays = {_KEYFRAME + name: getattr(tile.keyframe, name) for name in _NUMBERS}
         arrays |= {f"figure {k}": values for k, values in enumerate(tile.figures.values())}
+        arrays |= {"totals": tile.totals}
         path = self.folder / f"lanes-{tile.first_lane}-{tile.end - 1}.npz"
         with writing(path):
             self.folder.mkdir(parents=True, exist_ok=True)
-            write_arrays(path, header, arrays | {"totals": tile.totals})
+            write_arrays(path, header | {"sum": _checksum(header, arrays)}, arrays)
 
     def _read(self, path: Path) -> Tile:
-        header, arrays = read_arrays(path, PROGRAM, FORMAT, what="part of an experiment")
-        if header["plan"] != self._digest:
+        what = "part of an experiment"
+        header, arrays = read_arrays(path, PROGRAM, FORMAT, what=what, names=_names)
+        if header.get("plan") != self._digest:
             raise BadFile(f"{path} is of another experiment")
-        first, lanes = int(header["first_lane"]), int(header["lanes"])
-        kept: dict[str, Any] = {
-            name.removeprefix(_KEYFRAME): array if array.ndim else array.item()
-            for name, array in arrays.items()
-            if name.startswith(_KEYFRAME)
-        }
-        keyframe = replace(self._plan.learner(first, lanes).keyframe(), rule=PAPER, **kept)
+        try:
+            if header.pop("sum") != _checksum(header, arrays):
+                raise ValueError("its checksum is wrong")
+            return self._tile(header, arrays)
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            raise BadFile(f"{path} is damaged ({error})") from error
+
+    def _tile(self, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Tile:
+        """Raises ValueError and more if it cannot be one of the plan."""
+        if any(a.dtype != _KINDS.get(name, np.float64) for name, a in arrays.items()):
+            raise ValueError("numbers of another kind")
+        kept: dict[str, Any] = {name: arrays[_KEYFRAME + name] for name in _NUMBERS}
+        kept |= {name: kept[name].item() for name in ("step", "frozen", "fall")}
+        keyframe = Keyframe(rule=PAPER, **kept)
         figures = {name: arrays[f"figure {k}"] for k, name in enumerate(header["figures"])}
-        return Tile(first, lanes, keyframe, arrays["totals"], figures, bool(header["pending"]))
+        tile = Tile(
+            header["first_lane"], header["lanes"], keyframe, arrays["totals"], figures,
+            header["pending"],
+        )  # fmt: skip
+        tile.check_fit(self._plan)
+        return tile
 
 
-def _numbers(keyframe: Keyframe) -> dict[str, Any]:
-    """All of a keyframe but what its plan says."""
-    return {
-        name: value
-        for name, value in vars(keyframe).items()
-        if isinstance(value, (bool, int, float, np.ndarray))
-    }
+_NUMBERS = ("network", "world", "gamma", "memory", "step", "frozen", "fall")
+"""All of a keyframe but what its plan says."""
+_KINDS: dict[str, type] = {_KEYFRAME + "step": np.int64, _KEYFRAME + "frozen": np.bool_}
+"""All others are float64."""
+
+
+def _names(header: dict[str, Any]) -> list[str]:
+    """The arrays of a tile."""
+    figures = [f"figure {k}" for k in range(len(header["figures"]))]
+    return [*(_KEYFRAME + name for name in _NUMBERS), "totals", *figures]
+
+
+def _checksum(header: dict[str, Any], arrays: Mapping[str, Any]) -> str:
+    """SHA-256 of all that is kept of a tile."""
+    digest = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f" {name} {array.dtype.str} {array.shape} ".encode() + array.tobytes())
+    return digest.hexdigest()
 
 
 def _class_name(task: str) -> str:

@@ -19,6 +19,8 @@ from server.recording.rows import CHECKSUM, NUMBER, checksum, objects
 T = TypeVar("T")
 
 PROPERTIES = "/__properties"
+MOST_BYTES = 2_000_000_000
+"""That are read of a recording at once."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +67,16 @@ def read(path: Path, size: int, entities: Sequence[str]) -> dict[str, Table]:
     A step's row counts once. Raises ValueError and more where the file is damaged.
     """
     batches: dict[str, list[pa.RecordBatch]] = {}
-    for name, reader in messages.batches(path, size):
-        is_static = not any(time in reader.schema.names for time in _TIMES)
-        if is_static and not name.startswith(PROPERTIES):  # how a curve looks
+    left = MOST_BYTES
+    for rows in messages.batches(path, size):
+        is_static = not any(time in rows.schema.names for time in _TIMES)
+        if is_static and not rows.entity.startswith(PROPERTIES):  # how a curve looks
             continue
-        if any(_is_in(name, entity) for entity in entities):
-            batches.setdefault(name, []).append(messages.read_batch(reader))
+        if any(_is_in(rows.entity, entity) for entity in entities):
+            left -= rows.size
+            if left < 0:
+                raise BadRecording(f"it holds more than {MOST_BYTES / 1e9:.0f} GB")
+            batches.setdefault(rows.entity, []).append(rows.read())
     return {name: _checked(name, _table(found)) for name, found in batches.items()}
 
 
@@ -169,6 +175,8 @@ def _rows(column: Any) -> NDArray[Any]:
     if not pa.types.is_list(column.type):
         return objects(column.to_pylist())
     inner = column.values
+    if pa.types.is_struct(inner.type):
+        return _tensors(column)
     if not (pa.types.is_floating(inner.type) or pa.types.is_integer(inner.type)):
         return objects(v[0] if len(v) == 1 else v for v in column.to_pylist())
     data = np.frombuffer(column.buffers()[1], dtype=np.int32)
@@ -177,3 +185,15 @@ def _rows(column: Any) -> NDArray[Any]:
     if len(lengths) and (lengths == lengths[0]).all():
         return values[ends[0] : ends[-1]].reshape(len(lengths), -1)
     return objects(values[a:b] for a, b in pairwise(ends))
+
+
+def _tensors(column: Any) -> NDArray[Any]:
+    """The numbers of tensors of float32, one in each row; raises ValueError for any others."""
+    buffers = column.flatten().field("buffer")
+    code = next(k for k in range(buffers.type.num_fields) if buffers.type.field(k).name == "F32")
+    kinds, offsets = (np.asarray(numbers(a)) for a in (buffers.type_codes, buffers.offsets))
+    if (kinds != code).any() or (np.diff(offsets) != 1).any() or len(kinds) != len(column):
+        raise ValueError("tensors of another kind")
+    if not len(kinds):
+        return objects(())
+    return _rows(buffers.field(code))[offsets[0] : offsets[0] + len(offsets)]

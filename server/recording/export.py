@@ -31,6 +31,11 @@ Names = dict[str, Sequence[str]]
 
 MOST_BYTES = 2_000_000_000
 MOST_CSV_COLUMNS = 2_000
+_TREES = tuple(
+    f"/{tree}/**"
+    for tree in ("spikes", "potentials", "reward", "weights", "traces", "hebbviz", "parameters")
+    + ("episodes", "world", "events")
+)
 _OF_NEURONS = ("fired", "potential", "spikes", "least_potential", "greatest_potential")
 """Columns with an entry for each neuron."""
 
@@ -41,7 +46,7 @@ def export_timelines(recording: Recording, folder: Path) -> list[Path]:
     Spikes and rewards are exact, all else to float32 at least. Raises OSError and BadRecording.
     """
     topology, dt = recording.header.topology, recording.header.dt
-    rows = read_rows(recording.path, ("/**",))
+    rows = read_rows(recording.path, _TREES)
     groups = {
         "steps": _steps(rows, topology),
         "weights": _weights(rows, topology),

@@ -3,20 +3,29 @@
 A file is a header and messages: their kind, their length, and fields as protocol buffers write
 them. One field is a stream of Arrow's, packed with LZ4. rerun could read all of this too, but where
 a byte is wrong its reader may end the whole program; Arrow's raises.
+
+A file may say little and unfold to much. So what a message holds is bounded, packed or not, and of
+Arrow's own ways to say much in few bytes none is taken that rerun does not use: packed columns,
+columns without numbers of their own, rows that share them.
 """
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import pyarrow as pa
 from pyarrow import ipc
 
+from hebbviz.npz import open_regular
+
 MAGIC = b"RRF2"
+MOST_BYTES = 256_000_000
+"""Of a message."""
 _FILE_HEADER, _MESSAGE_HEADER = 12, struct.Struct("<QQ")
 _END, _ROWS = 0, 2
 """Kinds of messages; after the end there is only an index."""
@@ -24,11 +33,34 @@ _STORE, _COMPRESSION, _SIZE, _PAYLOAD = 1, 2, 3, 5
 """Fields of a message of rows."""
 _KIND_OF_STORE, _RECORDING = 1, 1
 _PLAIN, _LZ4 = 1, 2
-_MOST_PACKED = 256
-"""LZ4 makes nothing smaller by more than this."""
 _PATH = b"rerun:entity_path"
+_ROW_ID_BYTES = 16
+_HEADER, _BUFFERS_ARE_PACKED = 2, 3
+"""Fields of Arrow's tables Message and RecordBatch, by their place in Message.fbs."""
 
 Fields = dict[int, int | bytes]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of one entity, still to be read; `size` is in bytes."""
+
+    entity: str
+    schema: pa.Schema
+    size: int
+    _message: ipc.Message
+
+    def read(self) -> pa.RecordBatch:
+        """The rows, checked: none of them leads outside of what was read. Raises ValueError."""
+        for kind in self.schema.types:
+            _check_type(kind)
+        if _is_packed(self._message.metadata):
+            raise ValueError("packed columns")
+        batch = ipc.read_record_batch(self._message, self.schema)
+        batch.validate(full=True)
+        if batch.num_rows * _ROW_ID_BYTES > self.size:
+            raise ValueError("more rows than it has room for")
+        return batch
 
 
 @dataclass(frozen=True)
@@ -44,8 +76,10 @@ class Extent:
 
 def extent(path: Path) -> Extent:
     """Walk from message to message; raises ValueError if it does not begin as rerun's files do."""
-    total = path.stat().st_size
-    with path.open("rb") as file:
+    with open_regular(path) as file:
+        total = os.fstat(file.fileno()).st_size
+        if not total:
+            raise ValueError("it is empty")
         if file.read(len(MAGIC)) != MAGIC:
             raise ValueError("it is no rerun file")
         at, kind = _FILE_HEADER, -1
@@ -54,34 +88,27 @@ def extent(path: Path) -> Extent:
     return Extent(at, is_cut=kind != _END and at < total, has_end=kind == _END)
 
 
-def batches(path: Path, size: int) -> Iterator[tuple[str, ipc.RecordBatchStreamReader]]:
-    """Entity and rows, still to be read, of each message in the first `size` bytes.
+def batches(path: Path, size: int) -> Iterator[Rows]:
+    """The rows of each message in the first `size` bytes.
 
     Of the first recording, if there are several, and of no blueprint. Raises ValueError where
-    they are damaged.
+    they are damaged, or larger than `MOST_BYTES`.
     """
     recording, at = None, _FILE_HEADER
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         while (message := _message(file, at, size)) is not None and message[0] != _END:
             kind, end = message
             if kind == _ROWS:
-                fields = _fields(file.read(end - at - _MESSAGE_HEADER.size))
+                length = end - at - _MESSAGE_HEADER.size
+                if length > MOST_BYTES:
+                    raise ValueError(f"a message of {length:,} bytes")
+                fields = _fields(file.read(length))
                 store = _bytes(fields, _STORE)
                 if _fields(store).get(_KIND_OF_STORE) == _RECORDING:
                     recording = store if recording is None else recording
                     if store == recording:
                         yield _rows(fields)
             at = end
-
-
-def read_batch(reader: ipc.RecordBatchStreamReader) -> pa.RecordBatch:
-    """The rows, checked: none of them leads outside of what was read. Raises ValueError."""
-    try:
-        batch = reader.read_next_batch()
-    except (OSError, StopIteration) as error:
-        raise ValueError(f"not rows: {error}") from error
-    batch.validate(full=True)
-    return batch
 
 
 def _message(file: BinaryIO, at: int, total: int) -> tuple[int, int] | None:
@@ -95,17 +122,56 @@ def _message(file: BinaryIO, at: int, total: int) -> tuple[int, int] | None:
     return (kind, end) if end <= total else None
 
 
-def _rows(fields: Fields) -> tuple[str, ipc.RecordBatchStreamReader]:
+def _rows(fields: Fields) -> Rows:
     packed, size = _bytes(fields, _PAYLOAD), fields.get(_SIZE, 0)
     try:
         if fields.get(_COMPRESSION, _PLAIN) == _LZ4:
-            if not isinstance(size, int) or size > _MOST_PACKED * len(packed):
-                raise ValueError(f"{len(packed)} bytes hold no {size!r}")
+            if not isinstance(size, int) or size > MOST_BYTES:
+                raise ValueError(f"a message of {size!r} bytes")
             packed = pa.Codec("lz4_raw").decompress(packed, size)
-        reader = ipc.open_stream(packed)
-    except OSError as error:  # Arrow's, where the bytes make no sense
-        raise ValueError(str(error)) from error
-    return (reader.schema.metadata or {}).get(_PATH, b"").decode(), reader
+        messages = ipc.MessageReader.open_stream(packed)
+        schema = ipc.read_schema(messages.read_next_message())
+        message = messages.read_next_message()
+    except (OSError, StopIteration) as error:  # Arrow's, where the bytes make no sense
+        raise ValueError(f"not rows: {error}") from error
+    if message.type != "record batch":
+        raise ValueError(f"not rows but a {message.type}")
+    entity = (schema.metadata or {}).get(_PATH, b"").decode()
+    return Rows(entity, schema, len(packed), message)
+
+
+def _check_type(kind: Any, depth: int = 0) -> None:
+    """Raise ValueError for columns that rerun writes none of."""
+    is_few = pa.types.is_fixed_size_list(kind) and 1 <= kind.list_size <= 16
+    if is_few or pa.types.is_list(kind):
+        _check_type(kind.value_type, depth + 1)
+    elif not (
+        pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind)
+        or pa.types.is_string(kind) or pa.types.is_temporal(kind)
+        or (pa.types.is_fixed_size_binary(kind) and kind.byte_width == _ROW_ID_BYTES)
+        or (pa.types.is_struct(kind) and depth == 1)  # a tensor, see `chunks`
+    ):  # fmt: skip
+        raise ValueError(f"a column of {kind}")
+
+
+def _is_packed(message: Any) -> bool:
+    """Whether the buffers of a record batch are packed, by the flat buffer that describes it."""
+    data = memoryview(message)
+    (root,) = struct.unpack_from("<I", data, 0)
+    header = _place(data, root, _HEADER)
+    assert header is not None
+    (batch,) = struct.unpack_from("<I", data, header)
+    return _place(data, header + batch, _BUFFERS_ARE_PACKED) is not None
+
+
+def _place(data: memoryview, table: int, field: int) -> int | None:
+    """Where a field of a flat buffer's table is, None if it has none."""
+    (back,) = struct.unpack_from("<i", data, table)
+    (length,) = struct.unpack_from("<H", data, table - back)
+    if 4 + 2 * field >= length:
+        return None
+    (offset,) = struct.unpack_from("<H", data, table - back + 4 + 2 * field)
+    return table + offset if offset else None
 
 
 def _bytes(fields: Fields, number: int) -> bytes:

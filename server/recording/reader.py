@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 
 RUN, KEYFRAMES, CHANGES = "/__properties/run", "/hebbviz/keyframe", "/hebbviz/change"
 EDGES, SUMS, END = "/hebbviz/edge", "/hebbviz/aggregate", "/hebbviz/end"
+MOST_AHEAD = 10**9
+"""Steps from the last keyframe to the last of which anything is known: they must be made again."""
 SKELETON = (RUN, KEYFRAMES, CHANGES, EDGES, SUMS, END)
 
 
@@ -107,8 +109,6 @@ def open_recording(path: str | Path) -> Recording:
 
 
 def _open(path: Path) -> Recording:
-    if path.stat().st_size == 0:
-        raise BadRecording("it is empty")
     try:
         extent = messages.extent(path)
     except ValueError as error:
@@ -118,12 +118,16 @@ def _open(path: Path) -> Recording:
     moments = _moments(tables.get(KEYFRAMES))
     if not moments:
         raise BadRecording("it was broken off before its first keyframe")
+    if not header.topology.fits_in(len(moments[-1].keyframe.network)):
+        raise BadRecording("it is damaged (its keyframes hold less than its network)")
     log = (*header.log, *_changes(tables.get(CHANGES)))
     if any(m.logged > len(log) for m in moments):
         raise BadRecording("it is damaged (a change is missing)")
     edges = _edges(tables.get(EDGES))
     sums = tables.get(SUMS)
     last = max(moments[-1].step, int(sums.step[-1]) if sums else 0, *(c.step for c in log), 0)
+    if last > moments[-1].step + MOST_AHEAD:
+        raise BadRecording("it is damaged (it speaks of steps far beyond its last keyframe)")
     end = tables.get(END)
     return Recording(
         path, header, moments, log, edges, last, str(end.columns["reason"][0]) if end else None,

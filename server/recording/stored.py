@@ -121,7 +121,7 @@ def matrices_of(
     step = tables[0].step
     if not len(step):
         return step, {kind: np.zeros((0, topology.synapses)) for kind in kinds}
-    parts = [[m["buffer"] for m in table.columns["Tensor:data"]] for table in tables]
+    parts = [table.columns["Tensor:data"] for table in tables]
     each = (parts[k * len(names) : (k + 1) * len(names)] for k in range(len(kinds)))
     found: list[Array] = [np.concatenate(of, axis=1).astype(np.float32) for of in each]
     return step, dict(zip(kinds, found, strict=True))
