@@ -2,9 +2,7 @@
 alone, when it is run.
 """
 
-import sys
-
 if __name__ == "__main__":
-    from server.cli import main
+    from server.cli import program
 
-    sys.exit(main())
+    program()

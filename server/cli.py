@@ -13,6 +13,7 @@ but not for a page: it stays what it would be.
 from __future__ import annotations
 
 import argparse
+import atexit
 import io
 import json
 import os
@@ -57,6 +58,16 @@ if TYPE_CHECKING:
 
 GRACE_SECONDS = 1.5
 """Work that is asked to stop may take so long to keep what was done."""
+
+
+def program() -> NoReturn:
+    """Run the process's command line, and end the process.
+
+    Python would first take apart what the system takes back anyway, for half a second.
+    """
+    code = main()
+    atexit._run_exitfuncs()  # noqa: SLF001  # there is no public way
+    os._exit(code)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -433,4 +444,4 @@ COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program()

@@ -1,4 +1,5 @@
-"""How viser's page is dressed: its style, a script of one line, and a word when the server is gone.
+"""How viser's page is dressed: its style, two scripts of a line, and a word when the server or the
+graphics are gone.
 
 What viser draws is known here by the names that Mantine, its library, gives to the parts.
 """
@@ -14,10 +15,19 @@ GONE = """<div class="gone">The server is gone: this picture is the last one. St
 and this page will go on by itself.</div>"""
 """viser's page makes its panels deaf when it loses the server; that is when this is shown."""
 
+LOST = """<style onload="document.addEventListener('webglcontextlost',
+  () => document.body.classList.add('without-graphics'), true)"></style>
+<div class="lost">The browser has lost its graphics, and the scene is empty.
+<a href="" onclick="location.reload()">Reload the page</a>.</div>"""
+"""Shown once a browser has taken the graphics away, as after sleep or a fault of a driver; viser
+does not make its scene again where it gives them back.
+"""
+
 _GONE = """
-.gone { display: none; margin: 0 0.75em 0.5em; padding: 0.5em 0.75em; border-radius: 4px;
+.gone, .lost { display: none; margin: 0 0.75em 0.5em; padding: 0.5em 0.75em; border-radius: 4px;
         background: #b00020; color: white; font-weight: 600; }
-[style*="pointer-events: none"] .gone { display: block; }
+.lost a { color: inherit; }
+[style*="pointer-events: none"] .gone, .without-graphics .lost { display: block; }
 """
 
 _STATUS = f"""
@@ -68,5 +78,5 @@ ARROWS = """<style onload="document.body.onkeydown = (event) => {
 """An arrow key that moves a slider does not turn the camera too, which listens further out."""
 
 STYLE = f"<style>{_GONE}{_STATUS}{_SHEET}{_SLIDERS}{_BUTTONS}{_LABELS}</style>"
-PAGE = f"{STYLE}{ARROWS}{GONE}"
+PAGE = f"{STYLE}{ARROWS}{LOST}{GONE}"
 """To be put above the status."""
