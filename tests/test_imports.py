@@ -60,6 +60,28 @@ def test_the_tasks_bring_in_no_page():
     assert {"hebbviz", "pymunk"} <= loaded
 
 
+PAGE = """
+import sys, threading
+from hebbviz.learner import Learner
+from server.app import Site
+from sims.loading import make_task
+
+site = Site(Learner(make_task("synapse")), host="127.0.0.1", port=0, speed=None, task_name=None)
+stop = threading.Event()
+stop.set()
+site.run(stop, open_browser=False)
+print("rerun" in sys.modules)
+"""
+
+
+def test_a_page_that_recorded_nothing_ends_without_rerun():
+    """Which takes half a second to import."""
+    done = subprocess.run(
+        [sys.executable, "-c", PAGE], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines()[-1] == "False"
+
+
 def _loaded(modules):
     """Top-level packages in a fresh Python after importing these."""
     code = f"import sys, {', '.join(modules)}; print(*{{n.split('.')[0] for n in sys.modules}})"

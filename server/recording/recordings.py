@@ -94,6 +94,8 @@ class Recordings:
 
     def close(self) -> bool:
         """End all; returns whether the disk still holds up a thread of them."""
+        if not self._begun:
+            return False
         from server.recording.take import CLOSE_SECONDS
 
         going_on = [r for r in self._begun if r in self._run.followers]

@@ -40,6 +40,8 @@ STAY_SECONDS = 10.0
 SAMPLE_SECONDS = 2.0
 GROWTH_MB_A_MINUTE = 1.5
 """What the keyframes for rewinding take, which are bounded by 128 MB; more is a leak."""
+POOL = 32
+"""viser's callbacks run in so many threads at most, which come as they are needed."""
 LOST_SECONDS = 60.0
 """Within this a whole recording must end, on a machine that is busy."""
 
@@ -122,9 +124,9 @@ def watch(process: subprocess.Popen[bytes], port: int, seconds: float) -> list[S
     """Let clients and a tab come, and look at the process until the time is over."""
     stop, began = threading.Event(), time.monotonic()
     visitors = [Visitor(port, k, stop, travels=k == 0) for k in range(CLIENTS)]
+    samples = [Sample.of(process.pid, 0.0)]
     for visitor in visitors:
         visitor.start()
-    samples = []
     with open_browser() as browser:
         address = f"http://127.0.0.1:{port}"
         with tab_at(browser, address, width=1000, height=700) as tab:
@@ -146,10 +148,12 @@ def faults(samples: list[Sample], seconds: float) -> Iterator[str]:
     later = [s for s in samples if s.at >= seconds / 3]
     half = len(later) // 2
     first, last = later[:half], later[half:]
-    for what in ("threads", "files"):
-        before, after = (max(getattr(s, what) for s in part) for part in (first, last))
-        if after > before:
-            yield f"{what}: {before}, and later {after}"
+    before, after = (max(s.files for s in part) for part in (first, last))
+    if after > before:
+        yield f"files: {before}, and later {after}"
+    most = max(s.threads for s in samples)
+    if most > samples[0].threads + POOL:
+        yield f"threads: {samples[0].threads} at first, and up to {most}"
     slope = (
         60.0 * statistics.linear_regression([s.at for s in later], [s.memory for s in later]).slope
     )
