@@ -93,6 +93,8 @@ def _loaded(modules):
 
 ELSEWHERE = {"rerun-sdk": "rerun", "pillow": "PIL"}
 """Packages that are imported by another name."""
+INSIDE = {"rerun_bindings"}
+"""Packages that come with another one."""
 
 
 def declared(*extras):
@@ -113,7 +115,13 @@ def test_what_is_imported_is_declared(folders, extras):
     files = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
     names = set().union(*(imported(path.read_text()) for path in files))
     own = {path.stem for path in files} | {"hebbviz", "sims", "server", "examples"}
-    others = names - own - {n for n in names if n.startswith(".")} - set(sys.stdlib_module_names)
+    others = (
+        names
+        - own
+        - INSIDE
+        - {n for n in names if n.startswith(".")}
+        - set(sys.stdlib_module_names)
+    )
     assert others - set(declared(*extras)) == set()
 
 
