@@ -326,12 +326,18 @@ class Learner:
 
     def frame(self) -> Frame:
         """The watched lane now, and the summary since the last call."""
+        frame = self.glance()
+        self._new_summary()
+        return frame
+
+    def glance(self) -> Frame:
+        """`frame`, and the next one sums up from where it would have."""
         tile, lane = self._tiles.place_of(self.watch)
         weight, trace = tile.synapses_of(lane)
         tally = self.tally()
         neurons = self.topology.neurons
         raw, broadcast = tile.read_lane("reward", lane)
-        frame = Frame(
+        return Frame(
             step=self.step,
             topology=self.topology,
             weight=weight,
@@ -352,8 +358,6 @@ class Learner:
             },
             **{name: rows[:neurons, lane] for name, rows in tile.spikes().items()},
         )  # fmt: skip
-        self._new_summary()
-        return frame
 
     # Going back, and copies
 

@@ -27,6 +27,7 @@ from server.commands import (
     SetGamma,
     SetRule,
 )
+from server.recording.chunks import read_rows
 from server.recording.export import export_steps, export_timelines
 from server.recording.header import FORMAT, Header, change_from_json, change_to_json
 from server.recording.inspect import describe, figures
@@ -329,6 +330,21 @@ def test_figures_are_strict_json_and_can_be_read(recorded: Recorded) -> None:
         assert found["late_average_reward"] == pytest.approx(late.reward.mean(), abs=1e-12)
     said = describe(found)
     assert all(word in said for word in ("seed 3", "5 changes", "keyframes", "1,500"))
+
+
+def test_what_is_seen_of_it_is_there_from_its_first_step_on(tmp_path: Path) -> None:
+    """Colours of synapses and levels of inputs, weights; β and γ as curves, not as two points."""
+    made = record(tmp_path / "run.rrd", steps=400, changes={100: SetGamma(1e-3)})
+    rows = read_rows(made.path, ("/scene/network/**", "/weights/**", "/parameters/**"))
+    for name in ("/scene/network/synapses", "/scene/network/inputs", "/weights/input-hidden"):
+        assert rows[name].step[0] == 0, name
+    for name in ("beta", "gamma", "log10_gamma"):
+        assert set(rows[f"/parameters/{name}"].step) >= {0, *range(40, 401, 40)}, name
+    gamma, logarithm = (rows[f"/parameters/{n}"].scalars for n in ("gamma", "log10_gamma"))
+    assert np.array_equal(np.log10(gamma), logarithm)
+    low, high = rows["/weights/input-hidden"].columns["Tensor:value_range"][0]
+    largest = np.abs(rows["/weights/input-hidden"].columns["Tensor:data"][0]).max()
+    assert -high == low == pytest.approx(1.8 * largest), "blue above zero, and not yet cyan"
 
 
 # Thinning, details, leaps

@@ -298,7 +298,7 @@ def test_the_embedded_views_show_every_tree_of_the_schema(
         "/scene/**", "/spikes/**", "/potentials/**", "/rates/**", "/curves/weights/**",
         "/reward/raw", "/reward/broadcast", "/reward/average", "/reward/kept/**",
         "/parameters/beta",
-        "/parameters/gamma", "/events/**", "/phase/**", f"/{curve}",
+        "/parameters/log10_gamma", "/events/**", "/phase/**", f"/{curve}",
         *(f"/world/{entity(reading.name)}" for reading in task.readings),
         *(f"/{t}/{entity(p.name)}/**" for t in ("weights", "traces") for p in topology.projections),
     }  # fmt: skip

@@ -27,6 +27,8 @@ TRAIL = 75
 MOST_CURVES = 64
 SIDE_BY_SIDE = 2
 """Projections whose maps are shown together; of more, one at a time."""
+LOG_GAMMA = "parameters/log10_gamma"
+"""rerun's plots have no logarithmic axis, and beside 1 a small γ cannot be told from nothing."""
 USUAL_HEIGHT = 3.1
 """Of a network of three layers, in scene units."""
 WIDEST_TO_NARROWEST = 1.35
@@ -190,7 +192,9 @@ def whole_run(task: Task, topology: Topology) -> rrb.Vertical:
     several = len(topology.neuron_groups) > 1
     parameters = rrb.Horizontal(
         plot("Trace decay β", "/parameters", only=["beta"], legend=False),
-        plot("Step size γ", "/parameters", only=["gamma"], legend=False),
+        plot(
+            "Step size γ, log₁₀", "/parameters", only=[LOG_GAMMA.rpartition("/")[2]], legend=False
+        ),
     )
     average = plot("Average reward per step", "/reward", only=["average", "kept/**"], legend=False)
     phases = rrb.StateTimelineView(

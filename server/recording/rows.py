@@ -15,6 +15,8 @@ _ORDER = ("hebbviz/change", "", "reward/raw", "reward/broadcast", "hebbviz/end")
 """A file may be cut anywhere: no keyframe is in it without the changes before it, no step without
 its spikes, no end without all. What is not named stands in the place of "".
 """
+WIDER = 1.8
+"""Times as wide as it is, the range of a map."""
 NUMBER, CHECKSUM = "row", "crc32"
 """Columns of rows for programs: each has its number, so that none can be lost unnoticed."""
 
@@ -83,7 +85,8 @@ def states(values: NDArray[Any]) -> Columns:
 def tensors(values: NDArray[np.float32]) -> Columns:
     """(n, post, pre) matrices, each with a range of its own, symmetric about zero.
 
-    The range is told upside down: so rerun's colours are those of the scene, blue above zero.
+    The range is told upside down, and wider than it is: so rerun's colours are those of the scene,
+    blue above zero and orange below. Its own ends are cyan and yellow.
     """
     rows = [rr.Tensor(m, dim_names=("post", "pre"), value_range=_range(m)) for m in values]
     batches = [row.as_component_batches() for row in rows]
@@ -130,7 +133,7 @@ class _Batch:
 
 def _range(matrix: NDArray[np.float32]) -> tuple[float, float]:
     full = float(np.abs(matrix).max(initial=0.0))
-    full = full if np.isfinite(full) and full > 0.0 else 1.0
+    full = WIDER * full if np.isfinite(full) and full > 0.0 else 1.0
     return full, -full
 
 

@@ -7,7 +7,6 @@ counted, keyframes and changes excepted, so that a slow disk never holds up a ru
 from __future__ import annotations
 
 import contextlib
-import math
 import queue
 import threading
 import time
@@ -130,9 +129,9 @@ class Take(threading.Thread):
         self.keyframe(moment)
         self.parameters(learner)
         if self._header.detail == FULL:
-            world = learner.world[:, learner.watch]
-            self.weights(learner)
-            self._tell(lambda w: w.world(moment.step, world), 1_000)
+            frame = learner.glance()
+            self._tell(lambda w: w.look(frame), self._look_size)
+            self._tell(lambda w: w.world(frame.step, frame.world), 1_000)
 
     def weights(self, learner: Learner) -> None:
         """Weights and traces as they are now."""
@@ -147,9 +146,8 @@ class Take(threading.Thread):
         full = self._header.detail == FULL
         world = full and not self._plan.keep
         self._tell(lambda w: w.frame(frame, world=world), 1_000)
-        if not math.isinf(frame.fall):
-            in_force = frame.step, float(frame.beta[0]), float(frame.gamma[0])
-            self._tell(lambda w: w.parameters(*in_force), 200)
+        in_force = frame.step, float(frame.beta[0]), float(frame.gamma[0])
+        self._tell(lambda w: w.parameters(*in_force), 200)
         now = time.monotonic()
         apart = max(now - self._looked_at, 1e-3)
         if apart > 1.0 / LOOKS_PER_SECOND and self._thinning.affords(self._look_size, 1.0 / apart):

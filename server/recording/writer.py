@@ -21,7 +21,7 @@ from hebbviz.task import Tally, Task
 from server.commands import Logged
 from server.palette import SERIES
 from server.recording import rows
-from server.recording.blueprint import blueprint, curves_of, log_curve
+from server.recording.blueprint import LOG_GAMMA, blueprint, curves_of, log_curve
 from server.recording.header import Header, change_to_json, entity
 from server.recording.rows import Rows
 from server.recording.scene import Scene
@@ -139,6 +139,8 @@ class Writer:
         """β, and γ as it is in force."""
         self._add("parameters/beta", _at(step), np.array([beta]))
         self._add("parameters/gamma", _at(step), np.array([gamma]))
+        if gamma > 0.0:
+            self._add(LOG_GAMMA, _at(step), np.array([math.log10(gamma)]))
 
     def phase(self, step: int, *, frozen: bool) -> None:
         """Whether the weights are learning."""
@@ -228,8 +230,11 @@ class Writer:
             names = [f"{group.name} {n + 1}" for n in range(group.size)]
             self._static(f"potentials/{name}", rr.SeriesLines(names=names))
             self._static(f"rates/{name}", rr.SeriesLines(colors=color, names=group.name))
-        for k, name in enumerate(("beta", "gamma")):
-            self._jumps(f"parameters/{name}", SERIES[(3, 2)[k]], "βγ"[k])
+        for path, color, name in (
+            ("parameters/beta", SERIES[3], "β"), ("parameters/gamma", SERIES[2], "γ"),
+            (LOG_GAMMA, SERIES[2], "log₁₀ γ"),
+        ):  # fmt: skip
+            self._jumps(path, color, name)
         self._static("reward/raw", rr.SeriesLines(colors=SERIES[0], names="r of the task"))
         self._static("reward/broadcast", rr.SeriesLines(colors=SERIES[1], names="r as broadcast"))
         self._static("reward/average", rr.SeriesLines(colors=SERIES[4], names="average"))
