@@ -160,9 +160,10 @@ GRID = (
     Setting(BEST, 0.001), Setting(BEST, 0.002),
     Setting(f"{BEST}:scaled=no,constant=no", 0.1), Setting(f"{BEST}:scaled=no,constant=no", 0.2),
 )  # fmt: skip
-"""From these `figure sonar --preset best` chooses, in each split anew. Preset `best` is the one
-chosen most often; as these 208 patterns chose it, its error on held-out ones is a validation error,
-whatever the split.
+"""From these `figure sonar --preset best` chooses, in each split anew: in 100 splits 31, 31, 19 and
+19 times. Preset `best` is the one chosen most often; of the two that are level it is the one with
+the lesser validation error (16.7 %, the other 16.8 %). As these 208 patterns chose it, its error on
+held-out ones is a validation error, whatever the split.
 """
 
 

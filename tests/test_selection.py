@@ -9,7 +9,7 @@ import pytest
 
 from hebbviz.learner import Learner
 from server.experiments import Interrupted, Plan
-from server.figures import sonar
+from server.figures import selection, sonar
 from server.figures.command import Work
 from server.figures.selection import outer_plans, select
 from sims.sonar import GRID, PATTERNS, TRAINING, Sonar, load
@@ -123,6 +123,14 @@ def test_the_setting_is_that_of_the_least_validation_error(monkeypatch, tmp_path
     np.testing.assert_array_equal(again.validation, found.validation)
     for name, errors in found.curves.figures.items():
         np.testing.assert_array_equal(again.curves.figures[name], errors)
+
+
+def test_of_settings_chosen_equally_often_the_least_validation_error_decides():
+    chosen = np.array([0, 1, 0, 1, 2])
+    validation = np.array([[0.2] * 5, [0.1] * 5, [0.05] * 5, [0.3] * 5])
+    found = selection.Selection(validation, chosen, None)
+    assert found.counts == [2, 2, 1, 0]
+    assert found.most_often == GRID[1]
 
 
 def test_the_preset_is_among_the_settings_it_was_chosen_from():

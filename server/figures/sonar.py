@@ -159,7 +159,8 @@ def _chosen(result: _Result) -> list[str]:
         f"learns from {inner} of the {training} training patterns; that with the least error on "
         f"the other {Inner.held_out} is chosen, and a new run with it learns from all {training}. "
         f"Test errors are of these runs, on {task.held_out} patterns that nothing else has seen.",
-        f"Grid, how often each was chosen, and its validation error: {grid}.",
+        f"Grid, how often each was chosen, and its validation error: {grid}. Most often: "
+        f"{selection.most_often.preset}, γ {shown(selection.most_often.gamma)}.",
     ]
     if len(test) > 1:
         said.append(
