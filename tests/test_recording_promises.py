@@ -539,6 +539,59 @@ def test_a_disk_that_can_only_be_read_is_said_at_once(
         is_refused(command, read_only / "run.rrd", "read-only file system", capfd)
 
 
+@RECORDS
+def test_a_disk_that_is_full_is_said_at_once(
+    command: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for megabytes, name in ((1, "small"), (6, "filled")):
+        (tmp_path / name).mkdir()
+        with disk(tmp_path / name, megabytes) as folder:
+            if name == "filled":
+                fill(folder)
+            is_refused(command, folder / "run.rrd", "run.rrd: no space left on device", capfd)
+            assert not (folder / "run.rrd").exists()
+
+
+@pytest.mark.slow
+def test_a_file_that_another_program_cuts_is_said_and_the_run_goes_on(tmp_path: Path) -> None:
+    run = Run(Learner(make_task("pendulum")), make_task)
+    notices: list[str] = []
+    recordings = Recordings(run, Options(file=tmp_path / "run.rrd"), on_notice=notices.append)
+    advance(run, 500)
+    wait_until(lambda: size(tmp_path / "run.rrd") > 50_000, PATIENCE)
+    wait_until(lambda: rests(tmp_path / "run.rrd"), PATIENCE)
+    os.truncate(tmp_path / "run.rrd", 20_000)
+    wait_until(lambda: notices, PATIENCE)
+    assert notices == [
+        f"recording into {tmp_path / 'run.rrd'} has stopped, the run goes on: another program has "
+        "cut its file short"
+    ]
+    advance(run, 500)
+    assert run.learner.step == 1000
+    assert not recordings.close()
+
+
+def test_closing_does_not_count_what_its_beginning_took(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a machine at work elsewhere rerun alone takes longer to be imported."""
+    monkeypatch.setattr(take, "CLOSE_SECONDS", 0.0)
+    begin, writer = threading.Event(), take.Take._writer
+    monkeypatch.setattr(
+        take.Take, "_writer", lambda self: writer(self) if begin.wait(PATIENCE) else None
+    )
+    run = Run(Learner(make_task("pendulum")), make_task)
+    notices: list[str] = []
+    recorder = Recorder(FileTarget(tmp_path / "run.rrd"), run, on_notice=notices.append)
+    run.followers.append(recorder)
+    run.advance(50)
+    threading.Timer(0.5, begin.set).start()
+    recorder.close(run, seconds=0.4)
+    assert begin.is_set()
+    wait_until(lambda: not recorder.is_stuck, PATIENCE)
+    assert open_recording(tmp_path / "run.rrd").last_step == 50
+
+
 def is_refused(command: str, path: Path, words: str, capfd: pytest.CaptureFixture[str]) -> None:
     code = main([*command.split(), "--record", str(path)])
     out, err = capfd.readouterr()

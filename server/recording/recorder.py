@@ -15,7 +15,7 @@ from server.history import usual_window
 from server.recording import thinning
 from server.recording.header import TASK, Header, check_recordable, machine, versions
 from server.recording.status import Status
-from server.recording.take import CLOSE_SECONDS, Take
+from server.recording.take import BEGIN_SECONDS, CLOSE_SECONDS, Take
 from server.recording.targets import Target
 from server.recording.thinning import Plan
 from server.run import Follower, Run
@@ -90,8 +90,9 @@ class Recorder(Follower):
     def close(
         self, run: Run, words: str = "it was stopped", *, seconds: float = CLOSE_SECONDS
     ) -> None:
-        """End it whole; returns once all is on disk, or after so many seconds."""
+        """End it whole; returns once all is on disk, or after so many seconds of writing."""
         self.leap(run, words)
+        self.wait_until_begun()
         until = time.monotonic() + seconds
         for take in self._takes:
             take.join(max(0.0, until - time.monotonic()))
@@ -99,6 +100,11 @@ class Recorder(Follower):
         self._closing = threading.Thread(target=self._target.close, daemon=True)
         self._closing.start()
         self._closing.join(max(0.0, until - time.monotonic()))
+
+    def wait_until_begun(self) -> None:
+        """Wait until it writes, which a machine at work elsewhere may take long for."""
+        for take in self._takes:
+            take.begun.wait(BEGIN_SECONDS)
 
     @property
     def status(self) -> Status:

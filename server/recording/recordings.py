@@ -102,6 +102,8 @@ class Recordings:
         for recorder in going_on:
             self._run.followers.remove(recorder)
             recorder.leap(self._run, "it was stopped")
+        for recorder in going_on:
+            recorder.wait_until_begun()
         until = time.monotonic() + CLOSE_SECONDS
         for recorder in going_on:
             recorder.close(self._run, seconds=max(0.0, until - time.monotonic()))

@@ -35,6 +35,7 @@ FLUSH_BYTES = 2_000_000
 """Flushed more often where more comes, so that what is begun fits into the last of a disk."""
 FLUSH_PATIENCE = 5.0
 CLOSE_SECONDS = 3.0
+BEGIN_SECONDS = 30.0
 LOOKS_PER_SECOND = 8.0
 """How often weights, traces and the network in 3D are kept in a run that is fast."""
 SLOW = 100.0
@@ -82,6 +83,8 @@ class Take(threading.Thread):
         self._look_size = self._weights_size + 8 * header.topology.synapses + 2_000
         self.error: str | None = None
         self._giving_up: threading.Thread | None = None
+        self.begun = threading.Event()
+        """Set once it writes; what is imported for it may take long."""
         self.start()
 
     # What the run's thread tells
@@ -221,10 +224,16 @@ class Take(threading.Thread):
 
     def run(self) -> None:
         try:
-            self._write_all(self._writer())
+            try:
+                writer = self._writer()
+            finally:
+                self.begun.set()
+            self._write_all(writer)
+            del writer
             self._stream.let_go()
-        except Exception as error:
-            self._fail(f"{type(error).__name__}: {error}".splitlines()[0][:200])
+        except Exception as error:  # rerun says of a disk that its writer ended prematurely
+            why = self._target.trouble(0) or f"{type(error).__name__}: {error}"
+            self._fail(why.splitlines()[0][:200])
             # where a disk is full this may never return
             self._giving_up = threading.Thread(target=self._stream.let_go, daemon=True)
             self._giving_up.start()

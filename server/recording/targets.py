@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import shutil
 import socket
@@ -41,14 +42,22 @@ class FileTarget:
         path.open("xb").close()
         self.path = path
         try:
+            self._check_room()
             stream = Stream()
             # a footer would be an index of all chunks, kept in memory: 24 MB more each minute
             stream.set_sinks(rr.FileSink(path, write_footer=False))
-            self._inode = path.stat().st_ino
-        except BaseException:
+            self._inode, self._size = path.stat().st_ino, 0
+        except BaseException as error:
             path.unlink(missing_ok=True)
+            if isinstance(error, RuntimeError):  # rerun's, for whatever the disk says
+                raise OSError(errno.EIO, str(error).splitlines()[0], str(path)) from error
             raise
         return stream
+
+    def _check_room(self) -> None:
+        """Raise OSError if there is no room to begin."""
+        if shutil.disk_usage(self.path.parent).free < RESERVE:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
 
     @property
     def words(self) -> str:
@@ -57,7 +66,9 @@ class FileTarget:
     def size(self) -> int | None:
         """Bytes written so far, None where that is not known."""
         with contextlib.suppress(OSError):
-            return self.path.stat().st_size
+            size = self.path.stat().st_size
+            self._size = max(self._size, size)
+            return size
         return 0
 
     def trouble(self, pending: int) -> str | None:
@@ -69,6 +80,8 @@ class FileTarget:
             written = self.path.stat().st_size
         except OSError as error:
             return f"its file is gone ({reason(error)})"
+        if written < self._size:
+            return "another program has cut its file short"
         if free < RESERVE + RESERVE_SHARE * written + pending:
             return f"the disk is full but for {free / 1e6:.1f} MB"
         return None
