@@ -38,6 +38,7 @@ from server.commands import (
     WatchLane,
 )
 from server.making import MOST_SHOWN_LANES
+from server.numbers import about_commas, whole
 from server.picture import Picture
 from server.rule_controls import RuleControls
 from server.widgets import Widgets, assign
@@ -122,9 +123,9 @@ class Controls:
             hint="γ, logarithmic",
         )  # fmt: skip
         self.frozen = gui.add_checkbox("freeze learning", False, hint="F: γ is remembered")
-        self._ui.when(self.beta, self._set_typed_beta, typed=True)
+        self._ui.when(self.beta, self._set_typed_beta)
         self._ui.when(self.memory, lambda v: SetBeta(round(1.0 - 10.0**-v, 6)))
-        self._ui.when(self.gamma, self._set_typed_gamma, typed=True)
+        self._ui.when(self.gamma, self._set_typed_gamma)
         self._ui.when(self.step_size, lambda v: SetGamma(float(f"{10.0**v:.3g}")))
         self._ui.when(self.frozen, lambda v: Freeze(bool(v)))
 
@@ -143,7 +144,7 @@ class Controls:
             "lane", 0, min=0, max=0, step=1, visible=False,
             hint="which of the replicas is shown; G, H: the one before, the next",
         )  # fmt: skip
-        self._ui.when(self.lane, lambda v: WatchLane(int(v)), typed=True)
+        self._ui.when(self.lane, lambda v: WatchLane(int(v)))
         self.watch = gui.add_checkbox(
             "watch", True, hint="while the run goes on, play excerpts that the eye can follow"
         )
@@ -173,10 +174,10 @@ class Controls:
             "another number starts a new run, in which lane 0 is the same as before. A world that "
             "is stepped in Python, the pendulum, takes so many times as long",
         )  # fmt: skip
-        self._ui.when(self.typed_speed, lambda v: SetSpeed(_speed(v)), typed=True)
-        self._ui.when(self.seed, self._choose_seed, typed=True)
-        self._ui.when(self.hidden, self._choose_hidden, typed=True)
-        self._ui.when(self.lanes, self._choose_lanes, typed=True)
+        self._ui.when(self.typed_speed, lambda v: SetSpeed(_speed(v)))
+        self._ui.when(self.seed, self._choose_seed)
+        self._ui.when(self.hidden, self._choose_hidden)
+        self._ui.when(self.lanes, self._choose_lanes)
         self._ui.press(
             self.new_seed, lambda: Reset(seed=(self._ui.picture.seed + 1) % (LARGEST_SEED + 1))
         )
@@ -316,7 +317,7 @@ class Controls:
         return None if gamma == _in_force(self._ui.picture)[1] else SetGamma(gamma)
 
     def _choose_seed(self, text: str) -> Command | None:
-        seed = _parsed(int, text, "seed must be a whole number", 0, LARGEST_SEED)
+        seed = _parsed(whole, text, "seed must be a whole number", 0, LARGEST_SEED)
         return None if seed == self._ui.picture.seed else Reset(seed=seed)
 
     def _choose_lanes(self, lanes: int) -> Command | None:
@@ -337,7 +338,9 @@ def _parsed(kind: Callable[[str], N], text: str, must_be: str, least: N, most: N
     except ValueError:
         value = most + 1
     if not least <= value <= most:
-        raise ValueError(f"{must_be} from {least:.10g} to {most:.10g}, got {text[:40]!r}")
+        raise ValueError(
+            f"{must_be} from {least:.10g} to {most:.10g}, got {text[:40]!r}{about_commas(text)}"
+        )
     return value
 
 

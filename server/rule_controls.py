@@ -11,6 +11,7 @@ import viser
 from hebbviz.moments import Frame
 from hebbviz.rules import Rule, rule_class, rule_names
 from server.commands import SetFall, SetRule
+from server.numbers import about_commas
 from server.picture import Picture
 from server.widgets import Widgets, assign
 
@@ -37,7 +38,7 @@ class RuleControls:
             )
             self.words = gui.add_markdown("")
         widgets.when(self.rule, SetRule)
-        widgets.when(self.fall, self._typed_fall, typed=True)
+        widgets.when(self.fall, self._typed_fall)
 
     def follow(self, picture: Picture) -> None:
         """Show what holds; in the past, what held at the step that is shown."""
@@ -77,7 +78,7 @@ class RuleControls:
             changed = dataclasses.replace(self._rule, **{name: float(value)})
             return None if changed == self._rule else SetRule(str(changed))
 
-        self._ui.when(handle, command, typed=True)
+        self._ui.when(handle, command)
         return handle
 
     def _typed_fall(self, text: str) -> SetFall | None:
@@ -86,6 +87,7 @@ class RuleControls:
         except ValueError as error:
             raise ValueError(
                 f"γ falls over a number of steps from 1 on, or {NEVER}, got {text[:40]!r}"
+                f"{about_commas(text)}"
             ) from error
         return None if change.fall == self._fall else change
 

@@ -1,4 +1,4 @@
-"""How viser's page is dressed: its style, two scripts of a line, and a word when the server or the
+"""How viser's page is dressed: its style, three short scripts, and a word when the server or the
 graphics are gone.
 
 What viser draws is known here by the names that Mantine, its library, gives to the parts.
@@ -77,6 +77,40 @@ ARROWS = """<style onload="document.body.onkeydown = (event) => {
     event.stopPropagation(); }"></style>"""
 """An arrow key that moves a slider does not turn the camera too, which listens further out."""
 
+WHOLE = """<style onload="if (!window.hebbvizTyping) {
+  window.hebbvizTyping = new Map();
+  const leave = (event) => {
+    const typing = window.hebbvizTyping.get(event.target);
+    if (!typing) return;
+    window.hebbvizTyping.delete(event.target);
+    Object.defineProperty(event.target, 'value', typing.shown);
+    if (event.type === 'change') whole(event.target);
+    else if ('late' in typing) event.target.value = typing.late; };
+  const whole = (field) => {
+    const end = field.value.length;
+    field.setSelectionRange(0, end);
+    field.dispatchEvent(new KeyboardEvent('keydown', {bubbles: true}));
+    field.setSelectionRange(end, end); };
+  const type = (event) => {
+    const field = event.target, shown = Object.getOwnPropertyDescriptor(field, 'value');
+    if (!field.matches('.mantine-TextInput-input, .mantine-NumberInput-input') || !shown
+        || !field.closest('.mantine-Flex-root:has(label)')) return;
+    event.stopPropagation();
+    if (window.hebbvizTyping.has(field)) return;
+    const typing = {shown};
+    window.hebbvizTyping.set(field, typing);
+    Object.defineProperty(field, 'value', {
+      configurable: true, get: shown.get, set: (value) => { typing.late = value; }}); };
+  window.addEventListener('input', type, true);
+  window.addEventListener('change', leave, true);
+  window.addEventListener('focusout', leave, true); }"></style>"""
+"""What is typed into a field is kept from viser, which would send every key, and viser's own values
+from the field meanwhile. On Enter and as the field is left, the browser tells of a change; that
+viser hears, and sends the whole. What was typed and taken back is no change: then the field shows
+what came late. A field for numbers takes only what changed since the last key, between the carets
+then and now: so a key is made up at which all was selected.
+"""
+
 STYLE = f"<style>{_GONE}{_STATUS}{_SHEET}{_SLIDERS}{_BUTTONS}{_LABELS}</style>"
-PAGE = f"{STYLE}{ARROWS}{LOST}{GONE}"
+PAGE = f"{STYLE}{ARROWS}{WHOLE}{LOST}{GONE}"
 """To be put above the status."""

@@ -6,7 +6,6 @@ makes a command; a value that is refused is said in a notice and the widget goes
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -19,10 +18,6 @@ from server.picture import Picture
 
 QUIET_SECONDS = 2.5
 """A widget that was just moved by hand is not set back to the run's value before this."""
-TYPING_SECONDS = 0.8
-"""What is typed is taken when nothing more was typed for so long."""
-MENDING_SECONDS = 4.0
-"""What was refused is left alone for longer, to be mended."""
 
 Send = Callable[[Command], None]
 Notify = Callable[[str], None]
@@ -35,7 +30,7 @@ class Widgets:
         self.gui, self._send, self._notify = gui, send, notify
         self._touched: dict[str, float] = {}
         self._put_before: dict[str, Any] = {}
-        self._waiting: dict[str, threading.Timer] = {}
+        self._holds: dict[str, Any] = {}
         self._picture: Picture | None = None
 
     @property
@@ -49,43 +44,23 @@ class Widgets:
         """Take note of what holds, before any widget is set to it."""
         if self._picture is not None and self._picture.run_number != picture.run_number:
             self._touched.clear()  # after an undo or a reset, what was typed before is past
-            for waiting in list(self._waiting.values()):
-                waiting.cancel()
-            self._waiting.clear()
         self._picture = picture
 
-    def when(
-        self,
-        handle: Any,
-        command: Callable[[Any], Command | None],
-        *,
-        typed: bool = False,
-    ) -> None:
+    def when(self, handle: Any, command: Callable[[Any], Command | None]) -> None:
         """Send what `command` makes of a widget's new value, when a page changed it.
 
-        A page sends every key that is `typed`, and a 1 may become 1e-3: such a value waits until
-        nothing more is typed, and one that was wiped out waits for another.
+        A page sends what is typed once it is whole, on Enter or as the field is left (`style`). A
+        value that is refused, wiped out, or what holds already leaves its field again.
         """
         key = _key(handle)
-
-        def act() -> None:
-            if handle.value != "":
-                self.attempt(lambda: command(handle.value), typed_in=key if typed else None)
 
         def changed(event: Any) -> None:
             if event.client is None:
                 return
             self._touched[key] = time.monotonic()
             self._put_before.pop(key, None)
-            waiting = self._waiting.pop(key, None)
-            if waiting is not None:
-                waiting.cancel()
-            if typed:
-                self._waiting[key] = timer = threading.Timer(TYPING_SECONDS, act)
-                timer.daemon = True
-                timer.start()
-            else:
-                act()
+            if handle.value == "" or not self.attempt(lambda: command(handle.value)):
+                self._put_back(handle)
 
         if isinstance(handle, viser.GuiButtonGroupHandle):
             handle.on_click(changed)
@@ -99,29 +74,40 @@ class Widgets:
     def key(self, label: str, key: Any, command: Callable[[], Command | None]) -> Any:
         """Send a command when a key is pressed, or its label chosen in the list of commands."""
         handle = self.gui.add_command(label, hotkey=key)
-        handle.on_trigger(lambda _: self.attempt(command))
+
+        def act(_: Any) -> None:
+            self.attempt(command)
+
+        handle.on_trigger(act)
         return handle
 
-    def attempt(
-        self, command: Callable[[], Command | None], *, typed_in: str | None = None
-    ) -> None:
-        """Make a command and send it; a value that is refused is said in a notice."""
+    def attempt(self, command: Callable[[], Command | None]) -> bool:
+        """Make a command and send it, and say whether there is one; what is refused is a notice."""
         try:
             made = command()
         except ValueError as error:
             self._notify(str(error))
-            if typed_in is not None:
-                self._touched[typed_in] = time.monotonic() + MENDING_SECONDS
-            return
+            return False
         if made is not None:
             self._send(made)
+        return made is not None
+
+    def _put_back(self, handle: Any) -> None:
+        """Show what holds again, also on a page that had something else typed in."""
+        key = _key(handle)
+        if key in self._holds:
+            self._touched.pop(key, None)
+            self._put_before[key] = self._holds[key]
+            assign(handle, "value", self._holds[key])
+            _tell_again(handle)
 
     def put(self, handle: Any, value: Any, *, quiet: float = QUIET_SECONDS) -> None:
         """Set a widget to what holds, when that has become another or was lately touched by hand.
 
-        A widget that merely differs is left alone: what was typed may still be on its way here.
+        A widget that merely differs is left alone: a hand may be at it.
         """
         key = _key(handle)
+        self._holds[key] = value
         touched = self._touched.get(key)
         if touched is not None:
             if time.monotonic() - touched < quiet:

@@ -152,6 +152,12 @@ def field(page: Page, label: str) -> Locator:
     return row(page, label).locator("input:not([type=hidden])").last
 
 
+def enter(page: Page, label: str, text: str) -> None:
+    """Type into a field, and press Enter."""
+    field(page, label).fill(text)
+    field(page, label).press("Enter")
+
+
 def choose(page: Page, label: str, option: str) -> None:
     """Choose from a drop-down list; one that is drawn anew as it opens is opened again."""
     found = page.get_by_role("option", name=option, exact=True).locator("visible=true").first

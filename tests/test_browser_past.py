@@ -12,7 +12,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import PATIENCE, choose, drag, eventually, field, press, row, still, tab_at, text_of
+from browser import (
+    PATIENCE,
+    choose,
+    drag,
+    enter,
+    eventually,
+    field,
+    press,
+    row,
+    still,
+    tab_at,
+    text_of,
+)
 from playwright.sync_api import Browser, Page, expect
 from raw_client import RawClient, wait_until
 
@@ -149,7 +161,7 @@ def go_to(page: Page, live: Live, step: int) -> None:
     if cursor(live) is None:
         press(page, "◀ change")
         see(page, live, CHANGED_AT)
-    field(page, "at step").fill(str(step))
+    enter(page, "at step", str(step))
     field(page, "at step").blur()  # what is typed into takes no keys for commands
     see(page, live, step)
 
@@ -207,10 +219,10 @@ def test_keys_and_buttons_jump_to_changes(page: Page, live: Live) -> None:
 
 def test_a_time_is_typed(page: Page, live: Live) -> None:
     go_to(page, live, 500)
-    field(page, "at time (s)").fill("14.5")
+    enter(page, "at time (s)", "14.5")
     see(page, live, 725)
     eventually(page, lambda: "14.5 s" in text_of(page))
-    field(page, "at time (s)").fill("99999")  # beyond the end: the end
+    enter(page, "at time (s)", "99999")  # beyond the end: the end
     see(page, live, STEPS)
 
 
@@ -240,7 +252,7 @@ def test_taking_over_goes_on_from_there_and_undo_brings_back(page: Page, live: L
 
 def test_another_beta_in_the_past_takes_over(page: Page, live: Live) -> None:
     go_to(page, live, 600)
-    field(page, "β").fill("0.5")
+    enter(page, "β", "0.5")
     eventually(page, lambda: live.picture.past is None and live.picture.beta == 0.5)
     assert [c.step for c in live.picture.changes] == [600]
 
@@ -289,7 +301,7 @@ def test_a_wrong_value_is_refused_in_words(page: Page, live: Live) -> None:
         page.get_by_text(FORK, exact=True).click()
     choose(page, "differ in", "another β")
     expect(field(page, "its value")).to_have_value("0.9")
-    field(page, "its value").fill("1.5")
+    enter(page, "its value", "1.5")
     press(page, "Fork here")
     page.get_by_text(re.compile(r"beta must be .*got 1.5")).first.wait_for()
     assert live.picture.other is None
@@ -301,7 +313,7 @@ def test_a_wrong_value_is_refused_in_words(page: Page, live: Live) -> None:
 def test_a_recording_is_made_from_the_page(page: Page, live: Live, folder: Path) -> None:
     page.get_by_text("Record", exact=True).first.click()
     assert re.fullmatch(r"pendulum-[\d-]+\.rrd", field(page, "file").input_value())
-    field(page, "file").fill("mine.rrd")
+    enter(page, "file", "mine.rrd")
     still(page, page.get_by_role("button", name="Record", exact=True)).click()
     page.get_by_role("button", name="Stop recording").wait_for()
     live.send(Pause(paused=False), SetSpeed(1000.0))

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
 from raw_client import RawClient, wait_until
 
 from hebbviz.learner import Learner
-from server import controls, guard, widgets
+from server import controls, guard
 from server.commands import Command, SetBeta, SetGamma, SetSpeed
 from server.controls import Controls
 from server.widgets import Widgets
@@ -20,27 +19,10 @@ from sims import TASKS
 from sims.loading import make_task
 
 
-class Timer:
-    """One that goes off when it is told to."""
-
-    daemon = False
-
-    def __init__(self, _: float, act: Callable[[], None]) -> None:
-        self.act = act
-        self.is_cancelled = False
-
-    def start(self) -> None:
-        Panel.timers.append(self)
-
-    def cancel(self) -> None:
-        self.is_cancelled = True
-
-
 @dataclass(frozen=True)
 class Panel:
     """The controls of a run that stands still, and what came of what was done there."""
 
-    timers: ClassVar[list[Timer]] = []
     controls: Controls
     widgets: Widgets
     client: RawClient
@@ -48,27 +30,26 @@ class Panel:
     notices: list[str]
 
     def type(self, label: str, text: str) -> None:
-        """A key after the other, as a page sends them, and then nothing for a while."""
+        """As a page sends it, once it is whole; returns when it is taken, or has left its field."""
         widget = self.client.find(label)
-        for keys in range(len(text) + 1):
-            self.client.send_value(widget, text[:keys])
-            wait_until(lambda keys=keys: len(self.timers) == keys + 1)
-        assert self.sent == [] == self.notices, "not before it is whole"
-        for timer in self.timers:
-            if not timer.is_cancelled:
-                timer.act()
+        widget.value = text
+        self.client.send_value(widget, text)
+        wait_until(lambda: self.sent or widget.value != text)
 
 
 @pytest.fixture
-def panel(monkeypatch: pytest.MonkeyPatch) -> Iterator[Panel]:
-    monkeypatch.setattr(widgets.threading, "Timer", Timer)
-    Panel.timers.clear()
+def panel() -> Iterator[Panel]:
     server = guard.open_server("127.0.0.1", 0, on_refusal=pytest.fail)
     sent: list[Command] = []
     notices: list[str] = []
     ui = Widgets(server.gui, sent.append, notices.append)
     made = Controls(ui, seed=0)
     ui.follow(_picture())
+    for handle, value in (
+        (made.beta, "0.98"), (made.gamma, "0.01"), (made.seed, "0"), (made.typed_speed, "max"),
+        (made.hidden, "4"),
+    ):  # fmt: skip
+        ui.put(handle, value)
     try:
         with RawClient(server.get_port()) as client:
             wait_until(server.get_clients)
@@ -111,6 +92,7 @@ def test_what_holds_already_or_is_wiped_out_changes_nothing(
 ) -> None:
     panel.type(label, text)
     assert panel.sent == [] == panel.notices
+    assert panel.client.find(label).value == {"β": "0.98", "γ": "0.01", "seed": "0"}[label]
 
 
 @pytest.mark.parametrize(
@@ -118,25 +100,25 @@ def test_what_holds_already_or_is_wiped_out_changes_nothing(
     [
         ("γ", "hello", "γ must be from 0 to 1000, got 'hello'"),
         ("β", "1", "β must be from 0 to 0.999999, got '1'"),
+        ("β", "0,95", "β must be from 0 to 0.999999, got '0,95'; use a point: 0.95"),
         ("β", "nan", "β must be from 0 to 0.999999, got 'nan'"),
         ("seed", "1e10", "seed must be a whole number from 0 to 4294967295, got '1e10'"),
         ("steps/s", "fast", "speed must be steps per second, realtime or max, got 'fast'"),
+        ("hidden", "1…2", "hidden must be sizes such as 16 or 8,8 (at most 8, from 1 to 4096 "
+         "each), or none, got '1…2'"),
     ],
-)
-def test_what_is_refused_is_said_once_and_left_to_be_mended(
-    panel: Panel, monkeypatch: pytest.MonkeyPatch, label: str, text: str, said: str
+)  # fmt: skip
+def test_what_is_refused_is_said_and_leaves_its_field(
+    panel: Panel, label: str, text: str, said: str
 ) -> None:
-    monkeypatch.setattr(widgets, "MENDING_SECONDS", 1.0)
-    panel.type(label, text)
-    assert panel.notices == [said]
+    """On all pages, and again if it is typed again."""
+    held = panel.client.find(label).value
+    for times in (1, 2):
+        panel.type(label, text)
+        wait_until(lambda times=times: len(panel.notices) == times)
+        assert panel.client.find(label).value == held
+    assert panel.notices == [said, said]
     assert panel.sent == []
-    handle = {"γ": panel.controls.gamma, "β": panel.controls.beta}.get(label)
-    if handle is not None:
-        panel.widgets.put(handle, "0.5", quiet=0.0)
-        assert handle.value == text, "it may be being mended"
-        time.sleep(1.0)
-        panel.widgets.put(handle, "0.5", quiet=0.0)
-        assert handle.value == "0.5"
 
 
 @pytest.mark.parametrize("name", TASKS)
