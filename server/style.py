@@ -84,6 +84,7 @@ WHOLE = """<style onload="if (!window.hebbvizTyping) {
     if (!typing) return;
     window.hebbvizTyping.delete(event.target);
     Object.defineProperty(event.target, 'value', typing.shown);
+    delete event.target.setSelectionRange;
     if (event.type === 'change') whole(event.target);
     else if ('late' in typing) event.target.value = typing.late; };
   const whole = (field) => {
@@ -99,13 +100,14 @@ WHOLE = """<style onload="if (!window.hebbvizTyping) {
     if (window.hebbvizTyping.has(field)) return;
     const typing = {shown};
     window.hebbvizTyping.set(field, typing);
+    field.setSelectionRange = () => {};
     Object.defineProperty(field, 'value', {
       configurable: true, get: shown.get, set: (value) => { typing.late = value; }}); };
   window.addEventListener('input', type, true);
   window.addEventListener('change', leave, true);
   window.addEventListener('focusout', leave, true); }"></style>"""
 """What is typed into a field is kept from viser, which would send every key, and viser's own values
-from the field meanwhile. On Enter and as the field is left, the browser tells of a change; that
+and carets from the field meanwhile. On Enter and as the field is left, the browser tells of a change; that
 viser hears, and sends the whole. What was typed and taken back is no change: then the field shows
 what came late. A field for numbers takes only what changed since the last key, between the carets
 then and now: so a key is made up at which all was selected.
