@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 from hebbviz.learner import Learner
 from hebbviz.limits import check_beta, check_fall, check_gamma, check_reward
@@ -137,10 +138,22 @@ Change = SetBeta | SetGamma | SetFall | SetRule | Freeze | GiveReward | Press
 
 @dataclass(frozen=True)
 class Logged:
-    """A change and the step before which it took effect."""
+    """A change and the step before which it took effect. `goes_on`: it goes on with the change
+    before it, as a slider that is dragged.
+    """
 
     step: int
     change: Change
+    goes_on: bool = field(default=False, compare=False)
+
+
+def settled(log: Sequence[Logged]) -> list[Logged]:
+    """A log in which a slider that was dragged is one change, where it settled.
+
+    The run needs all of them to be made again; who reads of them needs no more than these.
+    """
+    following = [*(c.goes_on for c in log[1:]), False]
+    return [c for c, is_passing in zip(log, following, strict=False) if not is_passing]
 
 
 @dataclass(frozen=True)

@@ -138,8 +138,11 @@ class Run:
         for follower in self.followers:
             follower.keyframe(self, moment)
 
-    def change(self, change: Change, *, undoable: bool = True) -> None:
-        """Make a change now and log it. Not undoable: it goes on with the change before it."""
+    def change(self, change: Change, *, undoable: bool = True, goes_on: bool = False) -> None:
+        """Make a change now and log it. Not undoable: what was done before it is undone with it.
+        One that `goes_on` with the change before it takes its place where that is undone.
+        """
+        undoable = undoable and not goes_on
         if undoable:
             self._remember(str(change))
         try:
@@ -148,7 +151,9 @@ class Run:
             if undoable:  # nothing has happened that could be undone
                 self._undo.pop()
             raise
-        self.log.append(Logged(self.learner.step, change))
+        self.log.append(Logged(self.learner.step, change, goes_on))
+        if goes_on and self._undo:
+            self._undo[-1] = replace(self._undo[-1], words=str(change))
         for follower in self.followers:
             follower.change(self, self.log[-1])
 

@@ -46,8 +46,10 @@ from server.stuck import StuckLanes
 from server.tape import Pace
 from server.tempo import Tempo
 
-SAME_GESTURE_SECONDS = 0.7
-"""Changes of one kind closer together than this are one for undo: a slider being dragged."""
+SAME_GESTURE_SECONDS = 2.0
+"""Changes of one kind closer together than this are one: a slider being dragged, by a hand that may
+rest. (A page does not tell when it lets go.)
+"""
 
 RECORDINGS_A_MINUTE = 6
 
@@ -184,9 +186,9 @@ class Session:
             self._take_over()
         now, kind = time.monotonic(), type(change)
         recent = now - self._last_change[1] < SAME_GESTURE_SECONDS
-        drags = isinstance(change, (SetBeta, SetGamma)) and kind is self._last_change[0]
+        drags = isinstance(change, (SetBeta, SetGamma)) and kind is self._last_change[0] and recent
         self._last_change = (kind, now)
-        self.run.change(change, undoable=not (takes_over or (drags and recent)))
+        self.run.change(change, undoable=not takes_over, goes_on=drags and not takes_over)
         if self.showing.fork is not None:
             self.showing.fork.change(change)
 

@@ -78,39 +78,47 @@ ARROWS = """<style onload="document.body.onkeydown = (event) => {
 """An arrow key that moves a slider does not turn the camera too, which listens further out."""
 
 WHOLE = """<style onload="if (!window.hebbvizTyping) {
-  window.hebbvizTyping = new Map();
-  const leave = (event) => {
-    const typing = window.hebbvizTyping.get(event.target);
-    if (!typing) return;
-    window.hebbvizTyping.delete(event.target);
-    Object.defineProperty(event.target, 'value', typing.shown);
-    delete event.target.setSelectionRange;
-    if (event.type === 'change') whole(event.target);
-    else if ('late' in typing) event.target.value = typing.late; };
+  const held = window.hebbvizTyping = new Map();
+  const isField = (field) => field.matches('.mantine-TextInput-input, .mantine-NumberInput-input')
+    && field.closest('.mantine-Flex-root:has(label)');
+  const hold = (field) => {
+    const shown = Object.getOwnPropertyDescriptor(field, 'value');
+    if (held.has(field) || !shown) return;
+    const typing = {shown};
+    held.set(field, typing);
+    field.setSelectionRange = () => {};
+    Object.defineProperty(field, 'value', {
+      configurable: true, get: shown.get, set: (value) => { typing.late = value; }}); };
   const whole = (field) => {
     const end = field.value.length;
     field.setSelectionRange(0, end);
     field.dispatchEvent(new KeyboardEvent('keydown', {bubbles: true}));
     field.setSelectionRange(end, end); };
-  const type = (event) => {
-    const field = event.target, shown = Object.getOwnPropertyDescriptor(field, 'value');
-    if (!field.matches('.mantine-TextInput-input, .mantine-NumberInput-input') || !shown
-        || !field.closest('.mantine-Flex-root:has(label)')) return;
-    event.stopPropagation();
-    if (window.hebbvizTyping.has(field)) return;
-    const typing = {shown};
-    window.hebbvizTyping.set(field, typing);
-    field.setSelectionRange = () => {};
-    Object.defineProperty(field, 'value', {
-      configurable: true, get: shown.get, set: (value) => { typing.late = value; }}); };
-  window.addEventListener('input', type, true);
-  window.addEventListener('change', leave, true);
-  window.addEventListener('focusout', leave, true); }"></style>"""
-"""What is typed into a field is kept from viser, which would send every key, and viser's own values
-and carets from the field meanwhile. On Enter and as the field is left, the browser tells of a change; that
-viser hears, and sends the whole. What was typed and taken back is no change: then the field shows
-what came late. A field for numbers takes only what changed since the last key, between the carets
-then and now: so a key is made up at which all was selected.
+  const leave = (event) => {
+    const field = event.target, typing = held.get(field);
+    if (!typing) return;
+    held.delete(field);
+    Object.defineProperty(field, 'value', typing.shown);
+    delete field.setSelectionRange;
+    if (event.type === 'change') whole(field);
+    else if ('late' in typing) field.value = typing.late; };
+  const listen = (kind, act) => window.addEventListener(kind, act, true);
+  const tell = (field) => field.dispatchEvent(new Event('change', {bubbles: true}));
+  listen('pointerdown', (event) => {
+    [...held.keys()].filter((field) => field !== event.target).forEach(tell);
+    if (isField(event.target)) hold(event.target); });
+  listen('input', (event) => {
+    if (isField(event.target)) { event.stopPropagation(); hold(event.target); } });
+  listen('keydown', (event) => {
+    if (['ArrowUp', 'ArrowDown'].includes(event.key) && held.has(event.target))
+      tell(event.target); });
+  listen('change', leave);
+  listen('focusout', leave); }"></style>"""
+"""What is typed into a field is kept from viser, which would send every key; and viser's own values
+and carets from a field that is clicked or typed into. On Enter and as the field is left, the
+browser tells of a change; that viser hears, and sends the whole. What was typed and taken back is
+no change: then the field shows what came late. A field for numbers takes only what changed since
+the last key, between the carets then and now: so a key is made up at which all was selected.
 """
 
 STYLE = f"<style>{_GONE}{_STATUS}{_SHEET}{_SLIDERS}{_BUTTONS}{_LABELS}</style>"

@@ -11,7 +11,7 @@ import time
 import traceback
 
 from hebbviz.learner import TaskError
-from server.commands import Command
+from server.commands import Command, settled
 from server.history import Totals
 from server.inbox import Inbox
 from server.inflow import TimeShare
@@ -143,7 +143,7 @@ class Worker(threading.Thread):
             curves=curves,
             ghost=run.ghost,
             stuck=session.stuck.lanes,
-            changes=tuple(run.log[-200:]),
+            changes=tuple(settled(run.log[-1000:])[-200:]),
             paused=tempo.paused if showing.player is None else not showing.player.playing,
             speed=tempo.speed,
             steps_per_second=tempo.measured(time.monotonic()),

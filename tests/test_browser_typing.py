@@ -61,6 +61,7 @@ def type_slowly(page: Page, label: str, text: str) -> None:
     page.evaluate("0")
     found = field(page, label)
     found.scroll_into_view_if_needed()
+    found.click()
     found.select_text()
     found.press_sequentially(text, delay=PAUSE)
     page.wait_for_timeout(PAUSE)

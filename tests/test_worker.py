@@ -539,9 +539,11 @@ def test_a_drag_is_one_undo(monkeypatch: pytest.MonkeyPatch) -> None:
             b.send(SetBeta(0.5 + k / 100))
             time.sleep(0.02)
         b.send(SetGamma(0.5))
-        assert len(b.until(lambda p: p.gamma == 0.5).changes) == 21
+        told = b.until(lambda p: p.gamma == 0.5).changes
+        assert [str(c.change) for c in told] == ["β 0.69", "γ 0.5"], "where it settled"
+        assert len(b.run.log) == 21, "all of it is needed to make the run again"
         b.send(Undo())
-        b.until(lambda p: p.gamma == before.gamma and p.beta == 0.69)
+        b.until(lambda p: p.gamma == before.gamma and p.beta == 0.69 and p.undo_words == "β 0.69")
         b.send(Undo())
         assert b.until(lambda p: p.beta == before.beta).undo_words is None
 
