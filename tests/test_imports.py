@@ -114,7 +114,8 @@ def declared(*extras):
 def test_what_is_imported_is_declared(folders, extras):
     files = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
     names = set().union(*(imported(path.read_text()) for path in files))
-    own = {path.stem for path in files} | {"hebbviz", "sims", "server", "examples"}
+    own = {path.stem for path in files} | {path.parent.name for path in files}
+    own |= {"hebbviz", "sims", "server"}
     others = (
         names
         - own
