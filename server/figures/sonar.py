@@ -158,7 +158,9 @@ def _chosen(result: _Result) -> list[str]:
         f"Nested selection: in each split of the {PATTERNS} patterns, every setting of the grid "
         f"learns from {inner} of the {training} training patterns; that with the least error on "
         f"the other {Inner.held_out} is chosen, and a new run with it learns from all {training}. "
-        f"Test errors are of these runs, on {task.held_out} patterns that nothing else has seen.",
+        f"Test errors are of these runs, on {task.held_out} patterns that neither they nor the "
+        "choice have seen; what all settings share (rule, hidden units, fall) was chosen before, "
+        "on all of them.",
         f"Grid, how often each was chosen, and its validation error: {grid}. Most often: "
         f"{selection.most_often.preset}, γ {shown(selection.most_often.gamma)}.",
     ]
