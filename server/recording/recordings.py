@@ -128,7 +128,7 @@ class Recordings:
     def _start_stream(self, port: int) -> None:
         from server.recording.targets import StreamTarget
 
-        target = StreamTarget(port)
+        target = StreamTarget(port, on_refused=self._notice)
         self._begin(target)
         self.stream_url = target.url
 

@@ -6,11 +6,12 @@ import contextlib
 import errno
 import os
 import shutil
-import socket
+from collections.abc import Callable
 from pathlib import Path
 
 import rerun as rr
 
+from server.recording.relay import Relay
 from server.recording.streams import Stream
 from server.terminal import reason
 
@@ -91,22 +92,28 @@ class FileTarget:
 
 
 class StreamTarget:
-    """A server on 127.0.0.1 that rerun's viewers connect to; it waits for none of them."""
+    """A server on 127.0.0.1 that rerun's viewers connect to, through the relay; it waits for none
+    of them.
+    """
 
     live = True
     silence = "a viewer does not take what it is sent"
     words = "the stream"
 
-    def __init__(self, port: int = DEFAULT_STREAM_PORT) -> None:
-        self.port = _free_port(port)
-        self.url = f"rerun+http://127.0.0.1:{self.port}/proxy"
+    def __init__(
+        self, port: int = DEFAULT_STREAM_PORT, on_refused: Callable[[str], None] = lambda _: None
+    ) -> None:
+        self._relay = _relay(port, on_refused)
+        self.url = f"rerun+http://127.0.0.1:{self._relay.port}/proxy"
+        host, hidden = self._relay.behind
+        self._own_url = f"rerun+http://{host}:{hidden}/proxy"
         self._hub = Stream()
         self._hub.set_sinks(
             rr.GrpcServerSink(
-                bind_ip="127.0.0.1", port=self.port, server_memory_limit="256MiB",
-                newest_first=False,
+                bind_ip=host, port=hidden, server_memory_limit="256MiB", newest_first=False
             )
-        )  # fmt: skip
+        )
+        self._relay.start()
 
     def open(self, number: int) -> Stream:
         """A stream of its own for each run, through the one server.
@@ -114,7 +121,7 @@ class StreamTarget:
         The server's own passes for the first run's, or viewers would show an empty one as well.
         """
         stream = Stream(self._hub.identity if number == 1 else None)
-        stream.set_sinks(rr.GrpcSink(self.url))
+        stream.set_sinks(rr.GrpcSink(self._own_url))
         return stream
 
     def size(self) -> int | None:
@@ -125,21 +132,18 @@ class StreamTarget:
 
     def close(self) -> None:
         self._hub.let_go()
+        self._relay.close()
 
 
 Target = FileTarget | StreamTarget
 
 
-def _free_port(port: int) -> int:
-    """The port itself, or any free one for 0. A taken one raises OSError: rerun would not say."""
-    with socket.socket() as probe:
-        if os.name == "posix":
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError as error:
-            raise OSError(
-                f"cannot stream on port {port}: {reason(error)}; "
-                "give --stream another port, or 0 for any"
-            ) from error
-        return int(probe.getsockname()[1])
+def _relay(port: int, on_refused: Callable[[str], None]) -> Relay:
+    """What listens at the port; a taken one raises OSError: rerun would not say."""
+    try:
+        return Relay(port, on_refused)
+    except OSError as error:
+        raise OSError(
+            f"cannot stream on port {port}: {reason(error)}; "
+            "give --stream another port, or 0 for any"
+        ) from error
