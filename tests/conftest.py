@@ -4,6 +4,7 @@ Property tests have the same examples each time, and no search for smaller ones.
 """
 
 import os
+import signal
 from collections.abc import Iterator
 
 import pytest
@@ -14,6 +15,9 @@ from playwright.sync_api import Browser
 # Read when numpy is imported, which nothing above does. The matrices here are small, and threads
 # that wait for each other at them take the cores from what else runs.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+if hasattr(signal, "SIGHUP"):  # ignored where the tests are started with nohup
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 settings.register_profile(
     "hebbviz",
