@@ -17,8 +17,8 @@ from server.refusal import Refused
 MOST_CONNECTIONS = 128
 """Of pages, of browsers that load one, and of those that say nothing."""
 MOST_PAGES = 64
-REQUESTS_PER_SECOND = 40.0
-"""A page makes two or three; more wait."""
+REQUESTS_PER_SECOND, PAGES_PER_SECOND = 40.0, 10.0
+"""More wait. A page asks for a file or two, and then for the websocket that makes it a page."""
 
 
 class Crowd:
@@ -28,6 +28,7 @@ class Crowd:
         self.most = most or _most_connections()
         self._all: dict[ServerConnection, None] = {}
         self._requests = Allowance(REQUESTS_PER_SECOND)
+        self._newcomers = Allowance(PAGES_PER_SECOND)
 
     def __len__(self) -> int:
         return len(self._all)
@@ -52,10 +53,11 @@ class Crowd:
     def leave(self, connection: ServerConnection) -> None:
         self._all.pop(connection, None)
 
-    async def wait_in_line(self, connection: ServerConnection) -> None:
+    async def wait_in_line(self, connection: ServerConnection, *, as_page: bool) -> None:
         """Wait until a request may be answered; raises Refused where no page is to be added."""
         loop = asyncio.get_running_loop()
-        while wait := self._requests.wait(loop.time()):
+        line = self._newcomers if as_page else self._requests
+        while wait := line.wait(loop.time()):
             await asyncio.sleep(wait)
             if connection.transport.is_closing():
                 break

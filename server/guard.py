@@ -167,7 +167,7 @@ class Gate:
                 self._report_once(refused, self._on_turned_away)
                 return conn.respond(HTTPStatus.FORBIDDEN, f"{refused.line}\n")
             try:
-                await self.crowd.wait_in_line(conn)
+                await self.crowd.wait_in_line(conn, as_page="Upgrade" in request.headers)
             except Refused as refused:
                 self._report_once(refused, self._on_turned_away)
                 return conn.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"{refused.line}\n")

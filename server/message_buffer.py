@@ -16,6 +16,11 @@ from viser.infra import _infra as viser_infra
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 from viser.infra._messages import Message
 
+ALL_WINDOWS_PER_SECOND = 250.0
+"""Of all clients: each window is packed for each of them, so where many look on the frame rate of
+each is less.
+"""
+
 
 def install() -> None:
     """Let every viser server of this process use this buffer."""
@@ -130,7 +135,8 @@ class MessageBuffer(AsyncMessageBuffer):
     async def _rest(self) -> None:
         """Wait for the messages of one window, or for a flush."""
         try:
-            async with asyncio.timeout(self.window_duration_sec):
+            together = len(self.generator_cursors) / ALL_WINDOWS_PER_SECOND
+            async with asyncio.timeout(max(self.window_duration_sec, together)):
                 await self.flush_event.wait()
         except TimeoutError:
             return

@@ -283,3 +283,24 @@ def test_a_million_pushes_while_clients_come_and_go(server: viser.ViserServer) -
     for thread in visitors:
         thread.join()
     assert errors == []
+
+
+def test_many_clients_have_fewer_windows_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each window is packed for each client."""
+    waits: list[float] = []
+    timeout = asyncio.timeout
+
+    def noted(seconds: float) -> asyncio.Timeout:
+        waits.append(seconds)
+        return timeout(0.0)
+
+    async def job() -> None:
+        buffer = MessageBuffer(asyncio.get_running_loop(), persistent_messages=True)
+        for clients in (1, 8, 64):
+            buffer.generator_cursors = dict.fromkeys(range(clients), 0)
+            monkeypatch.setattr(asyncio, "timeout", noted)
+            await buffer._rest()
+            monkeypatch.setattr(asyncio, "timeout", timeout)
+
+    run(job)
+    assert waits[0] < 1 / 30 and waits[1] < 1 / 30 and waits[2] > 1 / 5

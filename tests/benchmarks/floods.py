@@ -109,12 +109,14 @@ class Bench:
                 attacker.send_signal(signal.SIGSTOP)
                 time.sleep(1.0)
                 rests.append(self.speed(1.0))
-        time.sleep(2.0)
+        time.sleep(1.0)
         last = self.speed(2.0)
+        if kind in CROWDS:  # those who are connected stay so while the attacker is stopped
+            rests = [first] + [statistics.mean([first, last])] * (turns - 1) + [last]
         around = [(a + b) / 2 for a, b in pairwise(rests)]
         during = statistics.median(f / r for f, r in zip(floods, around, strict=True))
-        after = statistics.median(rests[1:]) / statistics.mean([first, last])
-        return Kept(kind, during, after, before_mb, memory(), cpu / (turns * seconds))
+        later = last / first if kind in CROWDS else statistics.median(rests[1:]) / first
+        return Kept(kind, during, later, before_mb, memory(), cpu / (turns * seconds))
 
 
 @contextlib.contextmanager
