@@ -216,15 +216,22 @@ def check_saved(folder: Path) -> None:
     assert (recording.ending, recording.notice) == ("it was stopped", None)
 
 
-@pytest.mark.slow
-def test_a_terminal_that_is_closed_ends_a_training_which_is_saved(tmp_path: Path) -> None:
-    """Its progress bar is on that terminal; the shell that goes sends SIGHUP a second time."""
+@contextlib.contextmanager
+def training_on_a_terminal(folder: Path) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """The training, and our end of its terminal."""
     ours, theirs = os.openpty()
     with started(
-        TRAIN.format(tmp_path), stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
+        TRAIN.format(folder), stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
         preexec_fn=lambda: os.login_tty(theirs),
     ) as process:  # fmt: skip
         os.close(theirs)
+        yield process, ours
+
+
+@pytest.mark.slow
+def test_a_terminal_that_is_closed_ends_a_training_which_is_saved(tmp_path: Path) -> None:
+    """Its progress bar is on that terminal; the shell that goes sends SIGHUP a second time."""
+    with training_on_a_terminal(tmp_path) as (process, ours):
         drain = threading.Thread(target=read_all, args=(ours,), daemon=True)
         drain.start()
         wait_until(lambda: has_begun(tmp_path), PATIENCE)
@@ -244,12 +251,7 @@ def read_all(descriptor: int) -> None:
 
 @pytest.mark.slow
 def test_the_terminal_is_gone_before_anything_is_said(tmp_path: Path) -> None:
-    ours, theirs = os.openpty()
-    with started(
-        TRAIN.format(tmp_path), stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
-        preexec_fn=lambda: os.login_tty(theirs),
-    ) as process:  # fmt: skip
-        os.close(theirs)
+    with training_on_a_terminal(tmp_path) as (process, ours):
         wait_until(lambda: has_begun(tmp_path), PATIENCE)
         os.close(ours)  # a terminal that is closed sends SIGHUP and takes nothing any more
         assert process.wait(timeout=PATIENCE) == 128 + signal.SIGHUP
