@@ -33,7 +33,7 @@ from websockets.frames import CloseCode
 from websockets.http11 import Request, Response
 from websockets.protocol import SEND_EOF
 
-from server import admission, message_buffer, readers
+from server import admission, readers
 from server.crowd import Crowd, tell_shortages
 from server.entrance import Access, Entrance, Passage, Role, headers
 from server.inflow import (
@@ -45,6 +45,7 @@ from server.inflow import (
     Allowance,
     Inflow,
 )
+from server.message_buffer import MessageBuffer, install
 from server.readers import Reader
 from server.refusal import Refused
 
@@ -124,7 +125,7 @@ def open_server(
         called.append(True)
         return gate.serve(handler, sock=listener, **options)
 
-    message_buffer.install()
+    install()
     with _viser_silenced(), _viser_serves_with(serve):
         server = GuardedServer(host=host, port=listener.getsockname()[1], verbose=False)
     if not called:  # never run without the gate
@@ -452,6 +453,12 @@ class GuardedServer(viser.ViserServer):
     def welcome_reader(self, client: viser.ClientHandle) -> None:
         if self.is_reader(client):
             readers.welcome(client)
+
+    @property
+    def frame_seconds(self) -> float:
+        """How long the pages are sent nothing more after a frame; the more pages, the longer."""
+        buffer = self._websock_server.get_message_buffer()
+        return buffer.round_seconds if isinstance(buffer, MessageBuffer) else 0.0
 
     def stop(self) -> None:
         with _viser_silenced():

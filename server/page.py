@@ -35,6 +35,7 @@ from server.worker import Worker
 
 TEXT_SECONDS = 0.2
 """Words and numbers change no more often than this, so that they can be read."""
+INSPECTORS_AT_ONCE = 8
 COLUMN = 348
 """Width of the panels with the charts."""
 NOTICE_SECONDS = 6.0
@@ -52,6 +53,7 @@ class Page:
         self._server = server
         self._notices: deque[str] = deque(maxlen=20)
         self._inspectors: dict[int, Inspector] = {}
+        self._inspected = 0
         self._lock = threading.RLock()
         self._theme = THEMES["dark"]
         self._theme_changed = False
@@ -78,10 +80,12 @@ class Page:
         number = 0
         while not stop.is_set():
             picture = worker.wait_for(number, timeout=0.25)
+            began = time.monotonic()
             if picture is not None:
                 number = picture.number
                 self._attempt("drawn", self._build if self._built is None else self._draw, picture)
             self._attempt("told its notices", self._say_notices)
+            stop.wait(max(0.0, began + self._server.frame_seconds - time.monotonic()))
 
     def _attempt(self, what: str, draw: Callable[..., None], *given: Picture) -> None:
         """What cannot be drawn, such as a pose that a task of the user's own gets wrong, is said
@@ -338,11 +342,18 @@ class Page:
             self._pictures_per_second(), time.monotonic() - picture.made_at,
             len(self._server.get_clients()),
         )  # fmt: skip
-        for inspector in self._inspectors.values():
-            inspector.draw(picture)
+        self._draw_inspectors(picture)
         for client in self._server.get_clients().values():
             self._cameras.settle(client, picture)
         self._ask_probes()
+
+    def _draw_inspectors(self, picture: Picture) -> None:
+        """Each tab's own; where there are many, some of them in turn."""
+        inspectors = tuple(self._inspectors.values())
+        count = min(len(inspectors), INSPECTORS_AT_ONCE)
+        for k in range(count):
+            inspectors[(self._inspected + k) % len(inspectors)].draw(picture)
+        self._inspected += count
 
     def _ask_probes(self) -> None:
         wanted = tuple(sorted({s for i in self._inspectors.values() for s in i.probes}))

@@ -7,7 +7,10 @@ import time
 
 import pytest
 from benchmarks.floods import attack, opened
+from benchmarks.lecture import seated
 from raw_client import wait_until
+
+from server.entrance import Access, Role
 
 STEPS = 40_000
 """One or two seconds' worth when nothing else is done."""
@@ -25,3 +28,15 @@ def test_a_run_goes_on_in_floods() -> None:
                 attacker.send_signal(signal.SIGCONT)
                 wait_until(lambda made=made: bench.steps.made > made + STEPS, DEADLINE)
         assert len(run.log) < 200 * (time.monotonic() - began)  # of some 4 000 a second
+
+
+@pytest.mark.slow
+def test_a_lecture_hall_sees_a_run_that_goes_on() -> None:
+    """`benchmarks/lecture.py` has its speed."""
+    with opened(access=Access(token=True)) as bench:
+        path = bench.site._entrance.link("", Role.READER)
+        with seated(bench.site._server.get_port(), path, 40) as audience:
+            (frames, _), made = audience.count(), bench.steps.made
+            wait_until(lambda: audience.count()[0] > frames + 40 * 20, DEADLINE)
+            wait_until(lambda: bench.steps.made > made + STEPS, DEADLINE)
+            assert audience.count()[1] == 0

@@ -4,22 +4,29 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import math
 import threading
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import msgspec
+import numpy as np
 import pytest
 import viser
+import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 from raw_client import RawClient, wait_until
 from viser import _messages as messages
+from viser.infra import _infra as viser_infra
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 from viser.infra._messages import Message
 
-from server import guard
-from server.message_buffer import MessageBuffer
+from server import guard, message_buffer
+from server.message_buffer import MessageBuffer, Window, send_windows
+
+VISERS_PRODUCER = viser_infra._message_producer
 
 Windows = AsyncGenerator[Sequence[Message], None]
 MARKER = messages.GuiFormSubmitMessage("the backlog is over")
@@ -219,6 +226,8 @@ steps = st.lists(
 
 @given(steps)
 def test_it_sends_what_visers_own_buffer_sends(steps: list[tuple[str, Any]]) -> None:
+    """Where rounds take no time; else what is replaced within one is skipped."""
+
     async def sent_by(kind: type[AsyncMessageBuffer]) -> list[Message]:
         buffer = kind(asyncio.get_running_loop(), persistent_messages=True)
         buffer.window_duration_sec, buffer.max_window_size = 0.0, 2
@@ -235,7 +244,10 @@ def test_it_sends_what_visers_own_buffer_sends(steps: list[tuple[str, Any]]) -> 
         return sent
 
     async def job() -> None:
-        assert await sent_by(MessageBuffer) == await sent_by(AsyncMessageBuffer)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(message_buffer, "ALL_WINDOWS_PER_SECOND", math.inf)
+            own = await sent_by(MessageBuffer)
+        assert own == await sent_by(AsyncMessageBuffer)
 
     run(job)
 
@@ -285,22 +297,95 @@ def test_a_million_pushes_while_clients_come_and_go(server: viser.ViserServer) -
     assert errors == []
 
 
-def test_many_clients_have_fewer_windows_each(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each window is packed for each client."""
-    waits: list[float] = []
-    timeout = asyncio.timeout
+def test_many_clients_have_fewer_windows_each() -> None:
+    async def job() -> None:
+        buffer = MessageBuffer(asyncio.get_running_loop(), persistent_messages=True)
+        seconds = []
+        for clients in (1, 8, 64):
+            buffer.generator_cursors = dict.fromkeys(range(clients), 0)
+            seconds.append(buffer.round_seconds)
+        assert seconds[0] < 1 / 30 and seconds[1] < 1 / 30 and seconds[2] > 1 / 8
 
-    def noted(seconds: float) -> asyncio.Timeout:
-        waits.append(seconds)
-        return timeout(0.0)
+    run(job)
+
+
+def test_clients_that_are_equally_far_share_their_windows_packed() -> None:
+    """Whenever they came; one that is itself the sender of a message gets a window of its own."""
+
+    async def take(windows: Windows, into: list[Window]) -> None:
+        async for window in windows:
+            assert isinstance(window, Window)
+            into.append(window)
 
     async def job() -> None:
         buffer = MessageBuffer(asyncio.get_running_loop(), persistent_messages=True)
-        for clients in (1, 8, 64):
-            buffer.generator_cursors = dict.fromkeys(range(clients), 0)
-            monkeypatch.setattr(asyncio, "timeout", noted)
-            await buffer._rest()
-            monkeypatch.setattr(asyncio, "timeout", timeout)
+        sent: list[list[Window]] = [[] for _ in range(8)]
+        tasks = []
+        for client, into in enumerate(sent):
+            tasks.append(asyncio.create_task(take(buffer.window_generator(client), into)))
+            buffer.push(setting("key", client))
+            await asyncio.sleep(0.007)
+        start = [len(into) for into in sent]
+        for value in range(100):
+            buffer.push(setting(f"key {value}", value))
+            await asyncio.sleep(0.003)
+        message = setting("of one", 1)
+        message.excluded_self_client = 0
+        buffer.push(message)
+        buffer.push(MARKER)
+        while MARKER not in sent[0][-1] or MARKER not in sent[7][-1]:
+            await asyncio.sleep(0.01)
+        buffer.set_done()
+        await asyncio.gather(*tasks)
+        later = [into[first + 1 : -1] for first, into in zip(start, sent, strict=True)]
+        assert len(later[0]) > 3
+        for others in later[1:]:
+            assert all(a is b for a, b in zip(later[0], others, strict=True))
+        assert later[0][0].packed is later[7][0].packed
+        assert message in sent[7][-1] and message not in sent[0][-1]
 
     run(job)
-    assert waits[0] < 1 / 30 and waits[1] < 1 / 30 and waits[2] > 1 / 5
+
+
+def test_a_window_is_packed_as_visers_own_are() -> None:
+    """A page can read it: sizes, compressed messages, and arrays at multiples of eight bytes."""
+
+    class Socket:
+        def __init__(self) -> None:
+            self.sent: list[bytes] = []
+
+        async def send(self, data: bytes) -> None:
+            self.sent.append(data)
+
+    async def packed_by(kind: type[AsyncMessageBuffer], send: Any) -> bytes:
+        buffer = kind(asyncio.get_running_loop(), persistent_messages=True)
+        buffer.push(setting("a", 1))
+        buffer.push(setting("b", np.arange(5, dtype=np.float32)))
+        buffer.push(setting("c", np.arange(3, dtype=np.uint8)))
+        socket = Socket()
+        sending = asyncio.create_task(send(socket, buffer, 0, MARKER))
+        while not socket.sent:
+            await asyncio.sleep(0.001)
+        sending.cancel()
+        return socket.sent[0]
+
+    async def job() -> None:
+        (own, own_arrays), (visers, visers_arrays) = (
+            unpack(await packed_by(MessageBuffer, send_windows)),
+            unpack(await packed_by(AsyncMessageBuffer, VISERS_PRODUCER)),
+        )
+        assert VISERS_PRODUCER is not send_windows
+        own.pop("timestampSec"), visers.pop("timestampSec")
+        assert own == visers and own_arrays == visers_arrays and len(own["messages"]) == 4
+
+    run(job)
+
+
+def unpack(frame: bytes) -> tuple[dict[str, Any], bytes]:
+    """What a frame holds besides its arrays, and these."""
+    whole, size = int.from_bytes(frame[:8], "little"), int.from_bytes(frame[8:16], "little")
+    content = zstandard.decompress(frame[16 : 16 + size])
+    assert len(content) == whole
+    start = 16 + size + -size % 8
+    assert not any(frame[16 + size : start])
+    return msgspec.msgpack.decode(content), frame[start:]

@@ -33,6 +33,7 @@ from raw_client import wait_until  # noqa: E402
 from hebbviz.learner import Learner  # noqa: E402
 from hebbviz.moments import Block  # noqa: E402
 from server.app import Site  # noqa: E402
+from server.entrance import Access  # noqa: E402
 from server.recording.recordings import Options  # noqa: E402
 from server.run import Follower, Run  # noqa: E402
 from sims.loading import make_task  # noqa: E402
@@ -120,13 +121,13 @@ class Bench:
 
 
 @contextlib.contextmanager
-def opened(task: str = "pendulum") -> Iterator[Bench]:
+def opened(task: str = "pendulum", access: Access = Access()) -> Iterator[Bench]:  # noqa: B008
     """A server as a user starts it, which runs for the time."""
     stop = threading.Event()
     with tempfile.TemporaryDirectory() as folder:
         site = Site(
             Learner(make_task(task), seed=0), host="127.0.0.1", port=0, speed="max",
-            task_name=None, recording=Options(folder=Path(folder)),
+            task_name=None, recording=Options(folder=Path(folder)), access=access,
         )  # fmt: skip
         thread = threading.Thread(target=lambda: site.run(stop, open_browser=False))
         thread.start()
