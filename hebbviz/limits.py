@@ -13,6 +13,7 @@ LARGEST_GAMMA = 1e3
 LARGEST_FALL = 1e15
 LARGEST_REWARD = 1e6
 MOST_LANES = 4096
+MOST_STEPS = 10**12
 LAST_STEP = 2**62
 """Steps are counted in 64 bits, and nothing may run over."""
 

@@ -8,12 +8,13 @@ import argparse
 import contextlib
 import errno
 import math
+import os
 import sys
 import tempfile
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, NoReturn, TextIO
 
 FINE, FAILED, BAD_INPUT = 0, 1, 2
 LONGEST_LINE = 600
@@ -143,3 +144,9 @@ def prints_aside() -> contextlib.redirect_stdout[TextIO]:
 def say(line: str) -> None:
     sys.stdout.write(f"{line}\n")
     sys.stdout.flush()
+
+
+def leave(code: int) -> NoReturn:
+    """End the process now, even if a compiler is still at work in another thread."""
+    sys.stdout.flush()
+    os._exit(code)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from server.bench import Contestant, Ratio, race
-from server.cli import main
+from server.cli.main import main
 
 if TYPE_CHECKING:
     from types import ModuleType

@@ -18,7 +18,7 @@ from pyarrow import ipc
 
 from hebbviz import files, npz
 from hebbviz.learner import Learner
-from server.cli import main
+from server.cli.main import main
 from server.recording import chunks, messages, reader
 from server.recording.header import BadRecording
 from server.recording.reader import open_recording
@@ -137,7 +137,7 @@ def npz_bombs(folder: Path) -> dict[str, str]:
 
 PROGRAM = """
 import resource, sys
-from server.cli import main
+from server.cli.main import main
 for command in sys.stdin.read().splitlines():
     print(main(command.split()))
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9)

@@ -15,7 +15,7 @@ from playwright.sync_api import Browser, expect
 expect.set_options(timeout=PATIENCE)
 
 ROOT = Path(__file__).parents[1]
-SERVE = (sys.executable, "-m", "server.cli", "serve", "--no-browser", "--port", "0")
+SERVE = (sys.executable, "-m", "hebbviz", "serve", "--no-browser", "--port", "0")
 
 LOSE_GRAPHICS = """for (const canvas of document.querySelectorAll('canvas'))
   canvas.getContext('webgl2')?.getExtension('WEBGL_lose_context').loseContext()"""

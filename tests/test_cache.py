@@ -136,7 +136,7 @@ def test_a_program_that_has_no_place_for_anything_trains_and_says_why_it_starts_
         for found in (tmp_path / package, *(tmp_path / package).glob("**/")):
             (found / "__pycache__").touch()
     done = subprocess.run(
-        [sys.executable, "-m", "server.cli", "train", "--task", "synapse", "--steps", "5"],
+        [sys.executable, "-m", "hebbviz", "train", "--task", "synapse", "--steps", "5"],
         cwd=tmp_path, env={"HOME": "~"}, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0
@@ -148,7 +148,7 @@ def test_a_program_that_has_no_place_for_anything_trains_and_says_why_it_starts_
 def test_without_the_compiler_it_is_said_in_one_line_that_nothing_runs() -> None:
     env = os.environ | {"NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run(
-        [sys.executable, "-m", "server.cli", "train", "--steps", "5"],
+        [sys.executable, "-m", "hebbviz", "train", "--steps", "5"],
         cwd=ROOT, env=env, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (2, "")

@@ -23,14 +23,14 @@ from hebbviz import files
 from hebbviz.learner import Learner
 from hebbviz.poisson import time_to_event
 from server import app, authority, serve
-from server.cli import main
+from server.cli.main import main
 from sims.loading import make_task
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 ROOT = Path(__file__).parents[1]
-HEBBVIZ = [sys.executable, "-m", "server.cli"]
+HEBBVIZ = [sys.executable, "-m", "hebbviz"]
 PATIENCE = 60.0
 """Seconds for a server to be up; most of it is for compiling on a machine that never did."""
 HEAVY = {
@@ -327,7 +327,7 @@ def test_help_is_quick_and_tells_every_option(arguments: list[str]) -> None:
         cwd=ROOT, capture_output=True, text=True, check=True, timeout=PATIENCE,
     )  # fmt: skip
     imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
-    assert "server.options" in imported
+    assert "server.cli.arguments" in imported
     assert not imported & HEAVY
     assert done.stdout.startswith("usage: hebbviz")
     wanted = {

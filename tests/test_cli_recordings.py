@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 from hebbviz.learner import Learner
-from server.cli import main
+from server.cli.main import main
 from server.recording import header
 from sims.loading import make_task
 
-HEBBVIZ = [sys.executable, "-m", "server.cli"]
+HEBBVIZ = [sys.executable, "-m", "hebbviz"]
 ROOT = Path(__file__).parents[1]
 LEVER = f"{ROOT / 'tests' / 'examples' / 'lever.py'}:Lever"
 PATIENCE = 60.0

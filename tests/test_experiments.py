@@ -20,7 +20,7 @@ import pytest
 import hebbviz
 from hebbviz.learner import Learner
 from hebbviz.rules import make_rule
-from server.cli import main
+from server.cli.main import main
 from server.experiments import Interrupted, Plan, open_workers, run, run_all, workers
 from server.experiments import store as store_module
 from server.experiments.plan import joined
@@ -251,7 +251,7 @@ def test_a_full_disk_is_told_and_the_same_command_goes_on(limit, what, tmp_path)
     script = (
         "import resource, sys\n"
         "from pathlib import Path\n"
-        "from server.cli import main\n"
+        "from server.cli.main import main\n"
         "words = sys.argv[2:]\n"
         "main([*words, '--out', 'warm'])  # compiles, and has that on disk\n"
         "hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]\n"
@@ -351,7 +351,7 @@ def test_workers_that_die_or_are_others_are_not_blamed_on_the_task(tmp_path, cap
 def test_a_signal_to_all_processes_stops_them_as_one_to_the_first_does(number, tmp_path):
     script = (
         "import sys\n"
-        "from server.cli import main\n"
+        "from server.cli.main import main\n"
         "from server.experiments import workers\n"
         "workers.SHARE_SECONDS = 0.1\n"
         "sys.exit(main(sys.argv[1:]))\n"

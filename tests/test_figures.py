@@ -23,7 +23,7 @@ import hebbviz
 from hebbviz.learner import Learner
 from hebbviz.task import Measure
 from hebbviz.truth import angle_between
-from server.cli import main
+from server.cli.main import main, parse
 from server.experiments import Curves, Plan, open_workers, run_all
 from server.experiments.share import Tile, bring_on
 from server.figures import learning, pendulum
@@ -41,7 +41,6 @@ from server.figures.scales import (
     scales,
 )
 from server.figures.sheet import Origin, Sheet, apart, blank, look, save
-from server.options import parse
 from sims import TASKS
 from sims.lamps import small_example
 from sims.loading import make_task
@@ -452,7 +451,7 @@ def slowly(*given, bring_on=workers.bring_on):
     return bring_on(*given)
 
 workers.SHARE_SECONDS, workers.bring_on = 0.01, slowly
-from server.cli import main
+from server.cli.main import main
 sys.exit(main())
 """
 

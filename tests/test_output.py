@@ -20,14 +20,14 @@ from raw_client import wait_until
 from hebbviz import files
 from hebbviz.learner import Learner
 from server import app
-from server.cli import main
+from server.cli.main import main
 from server.interrupts import Interrupts
 from server.recording.reader import open_recording
 from server.recording.recordings import Options
 from sims.loading import make_task
 
 ROOT = Path(__file__).parents[1]
-HEBBVIZ = [sys.executable, "-m", "server.cli"]
+HEBBVIZ = [sys.executable, "-m", "hebbviz"]
 PATIENCE = 60.0
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from server.cli import main
+from server.cli.main import main
 from server.experiments.plan import Plan
 from sims.loading import load_rule, make_task
 

@@ -179,7 +179,7 @@ def test_a_signal_ends_a_page_that_evaluates_a_large_network(tmp_path: Path) -> 
 @contextlib.contextmanager
 def started(command: str) -> Any:
     with subprocess.Popen(
-        [sys.executable, "-m", "server.cli", *command.split()], cwd=ROOT, text=True,
+        [sys.executable, "-m", "hebbviz", *command.split()], cwd=ROOT, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     ) as process:  # fmt: skip
         try:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from hebbviz.learner import Learner
-from server.cli import main
+from server.cli.main import main
 from server.commands import SetBeta
 from server.recording import take
 from server.recording.export import export_timelines

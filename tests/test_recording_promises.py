@@ -31,7 +31,7 @@ from raw_client import answers, wait_until
 
 from hebbviz.learner import Learner
 from hebbviz.moments import Keyframe
-from server.cli import main
+from server.cli.main import main
 from server.commands import Reset, SetBeta
 from server.recording import header, take, thinning
 from server.recording.reader import BadRecording, Recording, open_recording
@@ -44,7 +44,7 @@ from server.run import Run
 from sims.loading import make_task
 
 ROOT = Path(__file__).parents[1]
-HEBBVIZ = [sys.executable, "-m", "server.cli"]
+HEBBVIZ = [sys.executable, "-m", "hebbviz"]
 PATIENCE = 60.0
 """Seconds for a program to be up; most of it is for compiling on a machine that never did."""
 ENDS = 5.0

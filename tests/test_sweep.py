@@ -19,11 +19,10 @@ from raw_client import wait_until
 from hebbviz import __version__
 from hebbviz.learner import Learner
 from hebbviz.task import Measure, Tally
-from server.cli import main
+from server.cli.main import main, parse
 from server.experiments import workers
 from server.figures.sheet import Origin, _made_by
 from server.making import make_learner
-from server.options import parse
 from server.sweep import heat_map
 from server.sweep.command import make
 from server.sweep.grid import Sweep, parse_betas, parse_gammas
@@ -299,7 +298,7 @@ def test_ctrl_c_and_the_same_command_again(tmp_path):
     words = ["sweep", "--task", task, "--gamma", "0.001,0.1", "--lanes", "2", "--steps", "6000"]
     one_step_a_share = (
         "import sys\n"
-        "from server.cli import main\n"
+        "from server.cli.main import main\n"
         "from server.experiments import workers\n"
         "workers.SHARE_SECONDS = 0.0\n"
         "sys.exit(main(sys.argv[1:]))\n"

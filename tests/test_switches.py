@@ -11,7 +11,7 @@ from conformance import same_learner
 from hebbviz import files
 from hebbviz.learner import Learner
 from hebbviz.switches import UnknownPreset
-from server.cli import main
+from server.cli.main import main
 from server.commands import Freeze, Reset, SetBeta, SetRule
 from server.recording.reader import open_recording
 from server.run import Run

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from server.options import MOST_STEPS
+from hebbviz.limits import MOST_STEPS
 from server.terminal import InputError
 
 if TYPE_CHECKING:

@@ -195,7 +195,7 @@ def first_picture(*, cold: bool) -> Bar:
         environment = os.environ | ({"NUMBA_CACHE_DIR": folder} if cold else {})
         began = time.monotonic()
         with subprocess.Popen(
-            [sys.executable, "-m", "server.cli", "serve", "--no-browser", "--port", "0"],
+            [sys.executable, "-m", "hebbviz", "serve", "--no-browser", "--port", "0"],
             cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True,
         ) as server:  # fmt: skip
             assert server.stdout is not None

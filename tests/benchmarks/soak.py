@@ -108,7 +108,7 @@ class Visitor(threading.Thread):
 @contextlib.contextmanager
 def served(recording: Path, said: Path) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
     """The program as a user starts it, and its port; what it says goes into a file."""
-    program = [sys.executable, "-m", "server.cli", "--no-browser", "--port", "0"]
+    program = [sys.executable, "-m", "hebbviz", "--no-browser", "--port", "0"]
     with said.open("wb") as out, subprocess.Popen(
         [*program, "--record", str(recording)], cwd=ROOT, stdout=out, stderr=subprocess.STDOUT
     ) as process:  # fmt: skip

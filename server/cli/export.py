@@ -1,0 +1,68 @@
+"""`hebbviz export`: write a recording's timelines as npz and CSV."""
+
+# ruff: noqa: PLC0415  # heavy modules are imported when they are needed: --help must be quick
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from typing import Any
+
+from hebbviz.limits import MOST_STEPS
+from server.cli.arguments import add_own_rule, add_own_task, add_recorded, path
+from server.making import asked_rule, saved_task
+from server.numbers import whole
+from server.terminal import FINE, prints_aside, say, tell, user_can_mend
+
+
+def add(commands: Any) -> None:
+    export = commands.add_parser(
+        "export",
+        help="write a recording's timelines as npz and CSV",
+        description="Write a recording's timelines as npz and CSV.",
+        allow_abbrev=False,
+    )
+    add_recorded(export)
+    add_own_task(export)
+    add_own_rule(export)
+    export.add_argument(
+        "--out", type=path, required=True, metavar="FOLDER", help="folder to write into"
+    )
+    export.add_argument(
+        "--every-step",
+        type=step_range,
+        metavar="FROM:TO",
+        help="make these steps again, and write all of each: inputs, spikes, w, z, β, γ, the world",
+    )
+    export.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write a recording's timelines as npz and CSV."""
+    from server.recording.export import export_steps, export_timelines
+    from server.recording.reader import open_recording
+
+    with user_can_mend(args), prints_aside():
+        asked_rule(args)
+        recording = open_recording(args.file)
+        if recording.notice:
+            tell(recording.notice)
+        if args.every_step is None:
+            written = export_timelines(recording, args.out)
+        else:
+            header = recording.header
+            task = saved_task(args, args.file, header.task, header.preset)
+            first, end = args.every_step
+            written = export_steps(recording, args.out, first, end, task)
+    say("\n".join(str(path) for path in written))
+    return FINE
+
+
+def step_range(text: str) -> tuple[int, int]:
+    with contextlib.suppress(ValueError):
+        first, end = map(whole, text.split(":"))
+        if 0 <= first < end <= MOST_STEPS:
+            return first, end
+    raise argparse.ArgumentTypeError(
+        f"steps must be FROM:TO with FROM before TO, such as 1000:2000, got {text!r}"
+    )

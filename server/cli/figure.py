@@ -1,0 +1,91 @@
+"""`hebbviz figure`: make one of the paper's figures."""
+
+# ruff: noqa: PLC0415  # heavy modules are imported when they are needed: --help must be quick
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from hebbviz.limits import MOST_LANES
+from server.cli.arguments import (
+    EPILOG,
+    INTERRUPTED,
+    add_hidden,
+    add_length,
+    add_rule,
+    add_scheduler,
+    add_values,
+    path,
+    whole_number,
+)
+from server.cli.experiment import run_experiment
+
+if TYPE_CHECKING:
+    import threading
+
+
+def add(commands: Any) -> None:
+    from server.figures.order import KINDS
+
+    figure = commands.add_parser(
+        "figure",
+        help="make one of the paper's figures: PNG, SVG and the CSV behind them",
+        description="Make one of the paper's figures, from runs of its own: PNG, SVG and the CSV "
+        "behind them, and what it comes to as one line of JSON. Ctrl-C ends it early; the same "
+        "command then goes on where it was.",
+        epilog=f"{INTERRUPTED} {EPILOG}",
+        allow_abbrev=False,
+    )
+    figure.add_argument(
+        "name",
+        choices=KINDS,
+        metavar="NAME",
+        help="; ".join(f"{name}: {kind.shows}" for name, kind in KINDS.items()),
+    )
+    figure.add_argument(
+        "--out", type=path, required=True, metavar="FOLDER", help="folder to write into"
+    )
+    figure.add_argument(
+        "--preset",
+        metavar="P",
+        help="a setting of the task (default the figure's own); with a switch as best:centred=no",
+    )
+    figure.add_argument(
+        "--lanes",
+        type=whole_number("lanes", 1, MOST_LANES),
+        metavar="N",
+        help="independent runs (default the figure's own)",
+    )
+    add_length(figure)
+    figure.add_argument(
+        "--seed",
+        type=whole_number("seed", 0, 2**32 - 1),
+        default=0,
+        metavar="N",
+        help="random seed (default %(default)s)",
+    )
+    figure.add_argument(
+        "--quick",
+        action="store_true",
+        help="a small version in less than a minute, once compiled, to try it",
+    )
+    add_scheduler(figure)
+    learning = figure.add_argument_group("of figure learning")
+    learning.add_argument("--task", metavar="T", help="a task by name, or your own as path.py:Name")
+    add_hidden(learning)
+    add_values(learning)
+    add_rule(learning)
+    figure.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make one of the paper's figures."""
+
+    def work(stop: threading.Event) -> dict[str, Any] | None:
+        from server.figures.command import make
+        from server.figures.order import Order
+
+        return make(Order.of(args), stop)
+
+    return run_experiment(args, work)

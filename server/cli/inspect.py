@@ -1,0 +1,40 @@
+"""`hebbviz inspect`: say what is in a recording."""
+
+# ruff: noqa: PLC0415  # heavy modules are imported when they are needed: --help must be quick
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from server.cli.arguments import add_own_rule, add_recorded
+from server.making import asked_rule
+from server.terminal import FINE, prints_aside, say, user_can_mend
+
+
+def add(commands: Any) -> None:
+    inspect = commands.add_parser(
+        "inspect",
+        help="say what is in a recording",
+        description="Say what is in a recording: task, seed, length, changes, keyframes, final "
+        "figures, whether it is whole.",
+        allow_abbrev=False,
+    )
+    add_recorded(inspect)
+    add_own_rule(inspect)
+    inspect.add_argument("--json", action="store_true", help="say it as one line of JSON")
+    inspect.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Say what is in a recording."""
+    from server.recording.inspect import describe, figures
+    from server.recording.reader import open_recording
+
+    with user_can_mend(args), prints_aside():
+        asked_rule(args)
+        recording = open_recording(args.file)
+    found = figures(recording)
+    say(json.dumps(found, allow_nan=False) if args.json else describe(found))
+    return FINE

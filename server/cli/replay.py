@@ -1,0 +1,69 @@
+"""`hebbviz replay`: open the page with a recording."""
+
+# ruff: noqa: PLC0415  # heavy modules are imported when they are needed: --help must be quick
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from server.cli.arguments import (
+    EPILOG,
+    access_of,
+    add_own_rule,
+    add_own_task,
+    add_page,
+    add_recorded,
+)
+from server.cli.page import show_page
+from server.making import asked_rule, maker, saved_task
+from server.terminal import tell
+
+if TYPE_CHECKING:
+    from server.app import Site
+
+
+def add(commands: Any) -> None:
+    replay = commands.add_parser(
+        "replay",
+        help="play a recording back in the page, and go on from any moment of it",
+        description="Play a recording back in the page: any step of it, made again from its "
+        "keyframes; go on from any moment.",
+        epilog=EPILOG,
+        allow_abbrev=False,
+    )
+    add_recorded(replay)
+    add_own_task(replay)
+    add_own_rule(replay)
+    add_page(replay)
+    replay.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Open the page with a recording."""
+
+    def prepare() -> Site:
+        from server.app import Site
+        from server.recording.reader import open_recording
+        from server.recording.recordings import Options
+
+        asked_rule(args)
+        recording = open_recording(args.file)
+        header = recording.header
+        if recording.notice:
+            tell(recording.notice)
+        task = saved_task(args, args.file, header.task, header.preset)
+        name = args.task or header.task
+        past = recording.run(maker(task, name), task, name)
+        return Site(
+            past.learner,
+            host=args.host,
+            port=args.port,
+            speed=None,
+            task_name=name,
+            recording=Options(folder=args.recordings),
+            past=past,
+            access=access_of(args),
+        )
+
+    return show_page(args, prepare)

@@ -1,0 +1,105 @@
+"""`hebbviz sweep`: map β against γ."""
+
+# ruff: noqa: PLC0415  # heavy modules are imported when they are needed: --help must be quick
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hebbviz.limits import MOST_LANES
+from server.cli.arguments import (
+    EPILOG,
+    INTERRUPTED,
+    add_length,
+    add_rule,
+    add_scheduler,
+    add_task,
+    path,
+    whole_number,
+)
+from server.cli.experiment import run_experiment
+
+if TYPE_CHECKING:
+    import threading
+
+
+def add(commands: Any) -> None:
+    sweep = commands.add_parser(
+        "sweep",
+        help="map β against γ: how well each pair learns, as a heat map",
+        description="Map β against γ: run each pair many times over and tell how well it did over "
+        "the last fifth of the steps, as a heat map (PNG, SVG), a CSV, and one line of JSON. A "
+        "learner of each point is saved, and the command that opens it in the page is told with "
+        "it. Ctrl-C ends it early; the same command then goes on where it was, and so does one "
+        "with other values.",
+        epilog=f"{INTERRUPTED} {EPILOG}",
+        allow_abbrev=False,
+    )
+    sweep.add_argument(
+        "--out",
+        type=path,
+        default=Path("sweep"),
+        metavar="FOLDER",
+        help="folder to write into (default %(default)s)",
+    )
+    add_task(sweep)
+    sweep.add_argument(
+        "--beta",
+        type=values("parse_betas"),
+        metavar="LIST",
+        help="values of β, as 0.5,0.9,0.99 or as a range 0.5:0.99:5, evenly in the logarithm of "
+        "1/(1−β) (default the preset's)",
+    )
+    sweep.add_argument(
+        "--gamma",
+        type=values("parse_gammas"),
+        metavar="LIST",
+        help="values of γ, as 1e-3,1e-2 or as a range 1e-4:1e-1:7, evenly in its logarithm "
+        "(default the preset's)",
+    )
+    add_rule(sweep)
+    sweep.add_argument(
+        "--lanes",
+        type=whole_number("lanes", 1, MOST_LANES),
+        default=16,
+        metavar="N",
+        help="independent runs of each pair (default %(default)s)",
+    )
+    add_length(sweep, default="1,000,000 steps")
+    sweep.add_argument(
+        "--seed",
+        type=whole_number("seed", 0, 2**32 - 1),
+        default=0,
+        metavar="N",
+        help="random seed (default %(default)s)",
+    )
+    add_scheduler(sweep)
+    sweep.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Map β against γ."""
+
+    def work(stop: threading.Event) -> dict[str, Any] | None:
+        from server.sweep.command import make
+        from server.sweep.grid import Sweep
+
+        return make(Sweep.of(args), args.out, stop, scheduler=args.scheduler)
+
+    return run_experiment(args, work)
+
+
+def values(parser: str) -> Callable[[str], tuple[float, ...]]:
+    def parse(text: str) -> tuple[float, ...]:
+        from server.sweep import grid
+
+        try:
+            values: tuple[float, ...] = getattr(grid, parser)(text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from error
+        return values
+
+    return parse
