@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from server import guard, words
-from server.commands import REALTIME, SetSpeed, check_speed
+from server.commands import SetSpeed
 from server.entrance import EVERYWHERE, Access, Role
 from server.interrupts import Interrupts
 from server.making import maker
@@ -18,6 +18,7 @@ from server.page import Page
 from server.recording.recordings import Options, Recordings
 from server.run import Run
 from server.session import Session
+from server.tempo import REALTIME, check_speed
 from server.train import announced_compiling, warm_up
 from server.window import open_window
 from server.worker import Worker
@@ -25,7 +26,7 @@ from server.worker import Worker
 if TYPE_CHECKING:
     from hebbviz.learner import Learner
     from hebbviz.task import Task
-    from server.commands import Speed
+    from server.tempo import Speed
 
 DEFAULT_PORT = 8080
 SHUTDOWN_SECONDS = 1.0

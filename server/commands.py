@@ -1,181 +1,67 @@
-"""What can be asked of a run. Commands carry targets, not toggles, and are checked when made.
-
-The first group changes the trajectory: such a command is logged with the step at which it took
-effect, and the log with the seed makes the run again. The second group only says how the run is
-stepped and shown.
-"""
+"""What can be asked of a session besides changes of its run; each is checked when it is made."""
 
 from __future__ import annotations
 
-import enum
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
 
-from hebbviz.learner import Learner
-from hebbviz.limits import check_beta, check_fall, check_gamma, check_reward
-from hebbviz.rules import make_rule
+from server.changes import Change
+from server.fork import Difference
 from server.making import MOST_SHOWN_LANES
-
-LARGEST_SPEED = 1e9
-REALTIME = "realtime"
-MAX = "max"
-
-Speed = float | str
-"""Steps per second, or 'realtime' (tasks with a dt), or 'max'."""
+from server.run import reset_words
+from server.session import Session
+from server.showing import Event
+from server.tempo import Speed, check_speed
 
 
-def check_speed(speed: Speed) -> Speed:
-    """The speed itself; raises ValueError unless it is 'max', 'realtime' or steps/s above 0."""
-    if speed in (REALTIME, MAX):
-        return speed
-    if isinstance(speed, bool) or not isinstance(speed, (int, float)):
-        raise ValueError(f"speed must be steps per second, realtime or max, got {speed!r}")
-    if not math.isfinite(speed) or not 0.0 < speed <= LARGEST_SPEED:
-        raise ValueError(f"speed must be above 0 and at most {LARGEST_SPEED:g}, got {speed!r}")
-    return float(speed)
+class Action(ABC):
+    """How the run is stepped and shown, or which run it is. It carries its target, not a toggle."""
+
+    @abstractmethod
+    def apply(self, session: Session) -> None:
+        """Do it; raises ValueError or TaskError where it cannot be done."""
 
 
-@dataclass(frozen=True)
-class SetBeta:
-    beta: float
+Command = Change | Action
 
-    def __post_init__(self) -> None:
-        check_beta(self.beta)
 
-    def apply(self, learner: Learner) -> None:
-        learner.set_beta(self.beta)
-
-    def __str__(self) -> str:
-        return f"β {self.beta:.6g}"
+def carry_out(command: Command, session: Session) -> None:
+    """Raises ValueError or TaskError where it cannot be."""
+    if isinstance(command, Change):
+        session.change(command)
+    else:
+        command.apply(session)
 
 
 @dataclass(frozen=True)
-class SetGamma:
-    gamma: float
-
-    def __post_init__(self) -> None:
-        check_gamma(self.gamma)
-
-    def apply(self, learner: Learner) -> None:
-        learner.set_gamma(self.gamma)
-
-    def __str__(self) -> str:
-        return f"γ {self.gamma:.3g}"
-
-
-@dataclass(frozen=True)
-class SetFall:
-    """Let γ fall over so many steps; infinity: let it stay."""
-
-    fall: float
-
-    def __post_init__(self) -> None:
-        check_fall(self.fall)
-
-    def apply(self, learner: Learner) -> None:
-        learner.set_fall(self.fall)
-
-    def __str__(self) -> str:
-        return "γ stays" if math.isinf(self.fall) else f"γ falls over {self.fall:.6g} steps"
-
-
-@dataclass(frozen=True)
-class SetRule:
-    """Go on with another rule, or other parameters of it, as `rules.make_rule` reads them."""
-
-    rule: str
-
-    def __post_init__(self) -> None:
-        make_rule(self.rule)
-
-    def apply(self, learner: Learner) -> None:
-        learner.set_rule(make_rule(self.rule))
-
-    def __str__(self) -> str:
-        return f"rule {self.rule}"
-
-
-@dataclass(frozen=True)
-class Freeze:
-    frozen: bool
-
-    def apply(self, learner: Learner) -> None:
-        learner.freeze(self.frozen)
-
-    def __str__(self) -> str:
-        return "learning frozen" if self.frozen else "learning on"
-
-
-@dataclass(frozen=True)
-class GiveReward:
-    reward: float
-
-    def __post_init__(self) -> None:
-        check_reward(self.reward)
-
-    def apply(self, learner: Learner) -> None:
-        learner.give_reward(self.reward)
-
-    def __str__(self) -> str:
-        return f"reward {self.reward:+.3g} by hand"
-
-
-@dataclass(frozen=True)
-class Press:
-    control: str
-
-    def apply(self, learner: Learner) -> None:
-        learner.press(self.control)
-
-    def __str__(self) -> str:
-        return self.control.lower()
-
-
-Change = SetBeta | SetGamma | SetFall | SetRule | Freeze | GiveReward | Press
-"""A command that changes the trajectory of a run."""
-
-
-@dataclass(frozen=True)
-class Logged:
-    """A change and the step before which it took effect. `goes_on`: it goes on with the change
-    before it, as a slider that is dragged.
-    """
-
-    step: int
-    change: Change
-    goes_on: bool = field(default=False, compare=False)
-
-
-def settled(log: Sequence[Logged]) -> list[Logged]:
-    """A log in which a slider that was dragged is one change, where it settled.
-
-    The run needs all of them to be made again; who reads of them needs no more than these.
-    """
-    following = [*(c.goes_on for c in log[1:]), False]
-    return [c for c, is_passing in zip(log, following, strict=False) if not is_passing]
-
-
-@dataclass(frozen=True)
-class Pause:
+class Pause(Action):
     paused: bool
 
+    def apply(self, session: Session) -> None:
+        session.pause(self.paused)
+
 
 @dataclass(frozen=True)
-class StepOnce:
+class StepOnce(Action):
     steps: int = 1
 
+    def apply(self, session: Session) -> None:
+        session.step(self.steps)
+
 
 @dataclass(frozen=True)
-class SetSpeed:
+class SetSpeed(Action):
     speed: Speed
 
     def __post_init__(self) -> None:
         check_speed(self.speed)
 
+    def apply(self, session: Session) -> None:
+        session.set_speed(self.speed)
+
 
 @dataclass(frozen=True)
-class Reset:
+class Reset(Action):
     """Start again with the set β, γ and rule, from the same seed or from another, with as many
     lanes or another number: lane k of a seed is the same run whatever lanes are beside it, unless
     the rule lets lanes touch each other. `switch` sets one of the task's switches.
@@ -189,41 +75,46 @@ class Reset:
         if self.lanes is not None and not 1 <= self.lanes <= MOST_SHOWN_LANES:
             raise ValueError(f"lanes must be from 1 to {MOST_SHOWN_LANES}, got {self.lanes}")
 
+    def apply(self, session: Session) -> None:
+        session.reset(seed=self.seed, lanes=self.lanes, switch=self.switch)
+
     def __str__(self) -> str:
-        if self.switch is not None:
-            name, on = self.switch
-            return f"{name} {'on' if on else 'off'}"
-        if self.lanes is not None:
-            return f"{self.lanes} lane{'s' * (self.lanes != 1)}"
-        return "reset" if self.seed is None else f"new seed {self.seed}"
+        return reset_words(self.seed, self.lanes, self.switch)
 
 
 @dataclass(frozen=True)
-class Choose:
+class Choose(Action):
     """Another task, preset or network."""
 
     task: str
     preset: str | None = None
     hidden: tuple[int, ...] | None = None
 
+    def apply(self, session: Session) -> None:
+        session.choose(self.task, self.preset, self.hidden)
+
     def __str__(self) -> str:
         return f"task {self.task}"
 
 
 @dataclass(frozen=True)
-class Undo:
-    pass
+class Undo(Action):
+    def apply(self, session: Session) -> None:
+        session.undo()
 
 
 @dataclass(frozen=True)
-class SetWatch:
+class SetWatch(Action):
     """Play excerpts at a speed the eye can follow, while the run goes on."""
 
     on: bool
 
+    def apply(self, session: Session) -> None:
+        session.showing.watch_excerpts(on=self.on)
+
 
 @dataclass(frozen=True)
-class SetWatchSpeed:
+class SetWatchSpeed(Action):
     """Steps per second of the excerpts."""
 
     speed: float
@@ -232,45 +123,66 @@ class SetWatchSpeed:
         if not isinstance(check_speed(self.speed), float):
             raise ValueError(f"the speed of excerpts must be in steps per second, got {self.speed}")
 
+    def apply(self, session: Session) -> None:
+        session.showing.watch.speed = self.speed
+
 
 @dataclass(frozen=True)
-class ShowReward:
+class ShowReward(Action):
     """Play the latest reward in slow motion."""
 
+    def apply(self, session: Session) -> None:
+        session.showing.show_reward()
+
 
 @dataclass(frozen=True)
-class ShowBeginning:
+class ShowBeginning(Action):
     """Play the first steps of the run, if Watch is on."""
 
+    def apply(self, session: Session) -> None:
+        session.showing.show_beginning()
+
 
 @dataclass(frozen=True)
-class Evaluate:
+class Evaluate(Action):
     """See how a frozen copy does, while the run goes on."""
 
+    def apply(self, session: Session) -> None:
+        session.evaluate()
+
 
 @dataclass(frozen=True)
-class WatchLane:
+class WatchLane(Action):
     """The lane that is shown."""
 
     lane: int
 
+    def apply(self, session: Session) -> None:
+        session.showing.look_at(self.lane)
+
 
 @dataclass(frozen=True)
-class NextLane:
+class NextLane(Action):
     """Show the next lane, or with -1 the one before, round and round."""
 
     by: int = 1
 
+    def apply(self, session: Session) -> None:
+        session.showing.look_at_next(self.by)
+
 
 @dataclass(frozen=True)
-class Probe:
+class Probe(Action):
     """The synapses whose traces the tabs follow."""
 
     synapses: tuple[int, ...]
 
+    def apply(self, session: Session) -> None:
+        session.showing.probe(self.synapses)
+
 
 @dataclass(frozen=True)
-class Seek:
+class Seek(Action):
     """Show a step of the run; the run itself rests until it is taken over, or left for now."""
 
     step: int
@@ -279,71 +191,76 @@ class Seek:
         if self.step < 0:
             raise ValueError(f"steps are counted from 0, got {self.step}")
 
-
-class Event(enum.Enum):
-    """What can be looked for from the step that is shown."""
-
-    CHANGE_BEFORE = "the change before"
-    NEXT_CHANGE = "the next change"
-    NEXT_REWARD = "the next reward"
+    def apply(self, session: Session) -> None:
+        session.showing.visit().seek(self.step)
 
 
 @dataclass(frozen=True)
-class SeekEvent:
+class SeekEvent(Action):
     event: Event
 
+    def apply(self, session: Session) -> None:
+        session.showing.seek_event(self.event)
+
 
 @dataclass(frozen=True)
-class SetLoop:
+class SetLoop(Action):
     """Play from the beginning again at the end."""
 
     loop: bool
 
+    def apply(self, session: Session) -> None:
+        session.showing.visit().loop = self.loop
+
 
 @dataclass(frozen=True)
-class BackToNow:
+class BackToNow(Action):
     """Leave the past and show the run where it is."""
 
+    def apply(self, session: Session) -> None:
+        session.showing.back_to_now()
+
 
 @dataclass(frozen=True)
-class TakeOver:
+class TakeOver(Action):
     """Go on live from the step that is shown."""
 
+    def apply(self, session: Session) -> None:
+        session.take_over()
+
 
 @dataclass(frozen=True)
-class StartFork:
+class StartFork(Action):
     """Go on from what is shown in two copies that differ in one thing, see `fork`."""
 
     kind: str
     value: float | None = None
 
+    def apply(self, session: Session) -> None:
+        session.begin_fork(Difference(self.kind, self.value))
+
 
 @dataclass(frozen=True)
-class EndFork:
+class EndFork(Action):
     """Keep one of the two copies."""
 
     keep_other: bool = False
 
+    def apply(self, session: Session) -> None:
+        session.end_fork(keep_other=self.keep_other)
+
 
 @dataclass(frozen=True)
-class StartRecording:
+class StartRecording(Action):
     """Record into a file of this name, in the folder for recordings."""
 
     name: str
 
+    def apply(self, session: Session) -> None:
+        session.start_recording(self.name)
+
 
 @dataclass(frozen=True)
-class StopRecording:
-    pass
-
-
-Looking = (
-    SetWatch | SetWatchSpeed | ShowReward | ShowBeginning | WatchLane | NextLane | Probe | Seek
-    | SeekEvent | SetLoop | BackToNow
-)  # fmt: skip
-"""What only says how the run is looked at."""
-
-Command = (
-    Change | Pause | StepOnce | SetSpeed | Reset | Choose | Undo | Looking | TakeOver | StartFork
-    | EndFork | Evaluate | StartRecording | StopRecording
-)  # fmt: skip
+class StopRecording(Action):
+    def apply(self, session: Session) -> None:
+        session.recordings.stop()

@@ -14,25 +14,18 @@ from hebbviz.switches import Switch
 from hebbviz.task import Control, Task
 from hebbviz.topology import parse_hidden
 from server import palette, words
+from server.changes import Freeze, GiveReward, Press, SetBeta, SetGamma
 from server.commands import (
-    MAX,
-    REALTIME,
     Choose,
     Command,
     Evaluate,
-    Freeze,
-    GiveReward,
     NextLane,
     Pause,
-    Press,
     Reset,
-    SetBeta,
-    SetGamma,
     SetSpeed,
     SetWatch,
     SetWatchSpeed,
     ShowReward,
-    Speed,
     StepOnce,
     Undo,
     WatchLane,
@@ -41,6 +34,7 @@ from server.making import MOST_SHOWN_LANES
 from server.numbers import about_commas, whole
 from server.picture import Picture
 from server.rule_controls import RuleControls
+from server.tempo import MAX, REALTIME, Speed
 from server.widgets import Widgets, assign
 from sims import TASKS
 

@@ -19,7 +19,7 @@ from hebbviz.moments import Frame
 from hebbviz.rules.paper import PAPER
 from hebbviz.task import Task
 from hebbviz.truth import GradientTruth
-from server.commands import Logged
+from server.changes import Logged
 from server.run import Follower, Run
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from hebbviz.chance import LARGEST_SEED
 from hebbviz.learner import Learner
 from hebbviz.limits import check_beta, check_gamma
 from hebbviz.moments import Frame
-from server.commands import Change, Logged, SetBeta, SetGamma
+from server.changes import Change, Logged, SetBeta, SetGamma
 from server.history import Curve, Totals
 from server.run import Run
 from server.tape import Moment, Tape

@@ -10,18 +10,8 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 
-from server.commands import (
-    Command,
-    Freeze,
-    Pause,
-    Probe,
-    Seek,
-    SetBeta,
-    SetFall,
-    SetGamma,
-    SetSpeed,
-    SetWatchSpeed,
-)
+from server.changes import Freeze, SetBeta, SetFall, SetGamma
+from server.commands import Command, Pause, Probe, Seek, SetSpeed, SetWatchSpeed
 from server.preparing import Preparation
 
 MOST_WAITING = 256

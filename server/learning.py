@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from hebbviz.poisson import time_to_event
 from hebbviz.task import Measure, Tally, Task
 from server import palette, spread, words
+from server.changes import GiveReward
 from server.charts import Chart, Cursor, Points
-from server.commands import GiveReward
 from server.evaluation import Evaluation
 from server.history import Curve
 from server.palette import Rgb, Theme

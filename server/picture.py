@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 from hebbviz.moments import Block, Frame
 from hebbviz.task import Task
-from server.commands import Logged, Speed
+from server.changes import Logged
 from server.estimate import Estimate
 from server.evaluation import Evaluation
 from server.history import Curve, Curves
 from server.player import Check
 from server.recording.status import Status
+from server.tempo import Speed
 from server.watch import Excerpt
 
 

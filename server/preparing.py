@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Callable
 
 from hebbviz.learner import Learner
-from server.commands import Choose, Command, Reset, SetRule
+from server.changes import SetRule
+from server.commands import Choose, Command, Reset
 from server.run import Run
 from server.train import announced_compiling, warm_up
 
@@ -23,15 +23,15 @@ Demanding = Choose | Reset | SetRule
 class Preparation(threading.Thread):
     """Has all compiled that is needed after a command, with a learner such as it makes."""
 
-    def __init__(self, command: Demanding, foreseen: Callable[[Demanding], Learner]) -> None:
+    def __init__(self, command: Demanding, run: Run) -> None:
         super().__init__(name="hebbviz compiler", daemon=True)
-        self.command, self._foreseen = command, foreseen
+        self.command, self._run = command, run
         self._began, self._compiles = time.monotonic(), False
 
     def run(self) -> None:
         # what is wrong is said once the command itself fails by it
         with contextlib.suppress(Exception), announced_compiling(self._note):
-            warm_up(self._foreseen(self.command))
+            warm_up(_foreseen(self.command, self._run))
 
     def is_ready(self) -> bool:
         """Whether it is, or is within a short time."""
@@ -55,7 +55,7 @@ def prepare(command: Command, run: Run) -> Preparation | None:
     """Begin what a command must wait for; None if it can be carried out at once."""
     if not isinstance(command, Demanding) or _asks_nothing_new(command, run.learner):
         return None
-    preparation = Preparation(command, run.foreseen)
+    preparation = Preparation(command, run)
     preparation.start()
     return None if preparation.is_ready() else preparation
 
@@ -65,3 +65,18 @@ def _asks_nothing_new(command: Demanding, learner: Learner) -> bool:
     if isinstance(command, SetRule):
         return command.rule.partition(":")[0] == learner.rule.name
     return isinstance(command, Reset) and command.lanes is None and command.switch is None
+
+
+def _foreseen(command: Demanding, run: Run) -> Learner:
+    """A learner, at its start, such as the run has after the command; with a task of its own, so
+    that another thread may step it.
+    """
+    match command:
+        case Choose(task, preset, hidden):
+            return run.chosen(task, preset, hidden)
+        case Reset(seed, lanes, switch):
+            return run.restarted(run.made_again(switch), seed=seed, lanes=lanes)
+        case SetRule():
+            twin = run.learner.twin(run.made_again())
+            command.apply(twin)
+            return twin

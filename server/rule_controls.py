@@ -10,7 +10,7 @@ import viser
 
 from hebbviz.moments import Frame
 from hebbviz.rules import Rule, rule_class, rule_names
-from server.commands import SetFall, SetRule
+from server.changes import SetFall, SetRule
 from server.numbers import about_commas
 from server.picture import Picture
 from server.widgets import Widgets, assign

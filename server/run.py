@@ -15,7 +15,7 @@ from hebbviz.limits import check_lane
 from hebbviz.moments import Block, Frame
 from hebbviz.rules import make_rule
 from hebbviz.task import Tally, Task
-from server.commands import Change, Choose, Logged, Reset, SetRule
+from server.changes import Change, Logged
 from server.history import Curves, History, Totals, usual_window
 from server.recording.thinning import MOST_APART, Plan
 from server.tape import MOST_BYTES, Moment, Tape
@@ -25,6 +25,7 @@ MOST_UNDO_BYTES = 256_000_000
 """Of the moments to go back to and the tapes of former runs; with many lanes there are fewer."""
 
 MakeTask = Callable[[str, str | None], Task]
+Switch = tuple[str, bool]
 
 
 class Follower:
@@ -157,41 +158,30 @@ class Run:
         for follower in self.followers:
             follower.change(self, self.log[-1])
 
-    def reset(self, command: Reset) -> None:
+    def reset(
+        self, *, seed: int | None = None, lanes: int | None = None, switch: Switch | None = None
+    ) -> None:
         """The same task and network from step 0, with the β, γ and rule that are set, and the
-        task's switches, of which the command may set one.
+        task's switches, of which one may be set here.
         """
-        switch = command.switch
-        task = self.learner.task if switch is None else self._made_again(switch)
-        fresh = self._restarted(command, task)
+        task = self.learner.task if switch is None else self.made_again(switch)
+        fresh = self.restarted(task, seed=seed, lanes=lanes)
         _look_at_the_same(fresh, self.learner)
-        self._remember(str(command))
+        self._remember(reset_words(seed, lanes, switch))
         ghost = self.history.curves(Totals.of(self.learner))
         self._leap("the run was reset")
         self._begin(fresh, self.task_name, ghost if len(ghost.edges) > 1 else self.ghost)
 
-    def choose(self, command: Choose) -> None:
+    def choose(
+        self, task: str, preset: str | None = None, hidden: tuple[int, ...] | None = None
+    ) -> None:
         """Another task, preset or network, with the preset's β, γ and rule."""
-        fresh = self._chosen(command)
+        fresh = self.chosen(task, preset, hidden)
         _look_at_the_same(fresh, self.learner)
-        sizes = "" if command.hidden is None else f", hidden {','.join(map(str, command.hidden))}"
-        self._remember(f"choosing {command.task}, {fresh.task.preset_name}{sizes}")
+        sizes = "" if hidden is None else f", hidden {','.join(map(str, hidden))}"
+        self._remember(f"choosing {task}, {fresh.task.preset_name}{sizes}")
         self._leap("another task or network was chosen")
-        self._begin(fresh, command.task, None)
-
-    def foreseen(self, command: Choose | Reset | SetRule) -> Learner:
-        """A learner, at its start, such as the run has after a command that is yet to be obeyed;
-        with a task of its own, so that another thread may step it.
-        """
-        match command:
-            case Choose():
-                return self._chosen(command)
-            case Reset():
-                return self._restarted(command, self._made_again(command.switch))
-            case SetRule():
-                twin = self.learner.twin(self._made_again())
-                command.apply(twin)
-                return twin
+        self._begin(fresh, task, None)
 
     def undo(self) -> str | None:
         """Go back to the moment before the last change; says which, or None if there is none."""
@@ -274,29 +264,31 @@ class Run:
         size = sum(p.moment.size for p in self._undo) + sum(tapes.values())
         return len(self._undo) > MOST_UNDOS or size > MOST_UNDO_BYTES
 
-    def _chosen(self, command: Choose) -> Learner:
+    def chosen(self, name: str, preset: str | None, hidden: tuple[int, ...] | None) -> Learner:
         """What a choice begins with: as many lanes as there are, but another task begins with one,
         or as many as its rule needs.
         """
-        task = self.make_task(command.task, command.preset)
+        task = self.make_task(name, preset)
         least = make_rule(task.preset.rule).least_lanes
-        lanes = max(least, self.learner.lanes if command.task == self.task_name else 1)
-        return Learner(task, hidden=command.hidden, seed=self.learner.seed, lanes=lanes)
+        lanes = max(least, self.learner.lanes if name == self.task_name else 1)
+        return Learner(task, hidden=hidden, seed=self.learner.seed, lanes=lanes)
 
-    def _made_again(self, switch: tuple[str, bool] | None = None) -> Task:
+    def made_again(self, switch: Switch | None = None) -> Task:
         """Another object of the task, with one of its switches set if that is asked for."""
         task = self.learner.task
         setting = task.preset_name if switch is None else task.switched(*switch)
         return self.make_task(self.task_name, setting)
 
-    def _restarted(self, command: Reset, task: Task) -> Learner:
+    def restarted(
+        self, task: Task, *, seed: int | None = None, lanes: int | None = None
+    ) -> Learner:
         """What a reset begins with."""
         old = self.learner
         fresh = Learner(
             task, topology=old.topology.with_inputs(len(task.inputs)), beta=old.beta,
             gamma=old.gamma, rule=old.rule, fall=old.fall,
-            seed=old.seed if command.seed is None else command.seed,
-            lanes=old.lanes if command.lanes is None else command.lanes,
+            seed=old.seed if seed is None else seed,
+            lanes=old.lanes if lanes is None else lanes,
             first_lane=old.first_lane,
         )  # fmt: skip
         fresh.freeze(old.frozen)
@@ -352,6 +344,16 @@ class Replay:
         if self._next < made:
             steps = min(steps, log[self._next].step - self.learner.step)
         return max(0, min(steps, self._of.step - self.learner.step))
+
+
+def reset_words(seed: int | None, lanes: int | None, switch: Switch | None) -> str:
+    """What a reset is called."""
+    if switch is not None:
+        name, on = switch
+        return f"{name} {'on' if on else 'off'}"
+    if lanes is not None:
+        return f"{lanes} lane{'s' * (lanes != 1)}"
+    return "reset" if seed is None else f"new seed {seed}"
 
 
 def _new_history(learner: Learner) -> History:

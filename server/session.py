@@ -13,28 +13,7 @@ from collections.abc import Callable
 from hebbviz.learner import TaskError
 from hebbviz.moments import Frame
 from hebbviz.rules import make_rule
-from server.commands import (
-    MAX,
-    REALTIME,
-    Change,
-    Choose,
-    Command,
-    EndFork,
-    Evaluate,
-    Pause,
-    Reset,
-    SetBeta,
-    SetGamma,
-    SetRule,
-    SetSpeed,
-    Speed,
-    StartFork,
-    StartRecording,
-    StepOnce,
-    StopRecording,
-    TakeOver,
-    Undo,
-)
+from server.changes import Change, SetBeta, SetGamma, SetRule
 from server.estimate import Estimating
 from server.evaluation import Evaluator, evaluates_by_itself
 from server.fork import Difference, Fork
@@ -44,7 +23,7 @@ from server.run import Run
 from server.showing import Showing
 from server.stuck import StuckLanes
 from server.tape import Pace
-from server.tempo import Tempo
+from server.tempo import MAX, REALTIME, Speed, Tempo
 
 SAME_GESTURE_SECONDS = 2.0
 """Changes of one kind closer together than this are one: a slider being dragged, by a hand that may
@@ -83,7 +62,7 @@ class Session:
         self._settle_speed()
         if in_the_past:
             self.showing.visit().seek(0)
-            self._set_speed(REALTIME if run.learner.task.dt else self.showing.watch.speed)
+            self.set_speed(REALTIME if run.learner.task.dt else self.showing.watch.speed)
 
     # Stepping
 
@@ -137,53 +116,17 @@ class Session:
         if live.since.steps:
             self.stuck.look(learner)
             if evaluates_by_itself(learner) and self.evaluator.is_rested():
-                self._evaluate()
+                self.evaluate()
 
     # Commands
 
-    def carry_out(self, command: Command) -> None:
-        """Raises ValueError or TaskError where it cannot be."""
-        if isinstance(command, Change):
-            self._change(command)
-            return
-        match command:
-            case Pause(paused):
-                self._pause(paused)
-            case StepOnce(steps):
-                self._step(steps)
-            case SetSpeed(speed):
-                self._set_speed(speed)
-            case Reset():
-                self.run.reset(command)
-                self._renew()
-            case Choose():
-                self.run.choose(command)
-                self._renew()
-                self._settle_speed()
-            case Undo():
-                self._undo()
-            case TakeOver():
-                self._take_over()
-            case StartFork(kind, value):
-                self._begin_fork(Difference(kind, value))
-            case EndFork(keep_other):
-                self._end_fork(keep_other=keep_other)
-            case Evaluate():
-                self._evaluate()
-            case StartRecording(name):
-                self._start_recording(name)
-            case StopRecording():
-                self.recordings.stop()
-            case _:
-                self.showing.carry_out(command)
-
-    def _change(self, change: Change) -> None:
+    def change(self, change: Change) -> None:
         """Make a change in the run; in its past, by taking over there."""
         if isinstance(change, SetRule):
             self.recordings.check_rule(make_rule(change.rule))
         takes_over = self.showing.player is not None
         if takes_over:
-            self._take_over()
+            self.take_over()
         now, kind = time.monotonic(), type(change)
         recent = now - self._last_change[1] < SAME_GESTURE_SECONDS
         drags = isinstance(change, (SetBeta, SetGamma)) and kind is self._last_change[0] and recent
@@ -192,21 +135,24 @@ class Session:
         if self.showing.fork is not None:
             self.showing.fork.change(change)
 
-    def _pause(self, paused: bool) -> None:
+    def pause(self, paused: bool) -> None:
+        """Pause or run what is shown: the run, or its past."""
         if self.showing.player is not None:
             self.showing.player.pause(paused)
         else:
             self.tempo.pause(paused)
             self.error = None
 
-    def _step(self, steps: int) -> None:
+    def step(self, steps: int) -> None:
+        """Make so many steps of what is shown, which then rests."""
         if self.showing.player is not None:
             self.showing.player.step(steps)
         else:
             self.tempo.step(steps)
             self.error = None
 
-    def _set_speed(self, speed: Speed) -> None:
+    def set_speed(self, speed: Speed) -> None:
+        """Raises ValueError where the task has no time to be real."""
         task = self.run.learner.task
         if speed == REALTIME and task.dt is None:
             raise ValueError(
@@ -222,7 +168,21 @@ class Session:
         real_time = 1.0 / task.dt if task.dt else None
         watch.speed = task.watch_speed or real_time or watch.speed
 
-    def _undo(self) -> None:
+    def reset(
+        self, *, seed: int | None, lanes: int | None, switch: tuple[str, bool] | None
+    ) -> None:
+        """Start again, as `Run.reset` does."""
+        self.run.reset(seed=seed, lanes=lanes, switch=switch)
+        self._renew()
+
+    def choose(self, task: str, preset: str | None, hidden: tuple[int, ...] | None) -> None:
+        """Run another task, preset or network."""
+        self.run.choose(task, preset, hidden)
+        self._renew()
+        self._settle_speed()
+
+    def undo(self) -> None:
+        """Go back to before the last change, if there is one."""
         words, learner = self.run.undo_words, self.run.learner
         if self.run.undo() is None:
             self.notice("there is nothing to undo")
@@ -233,7 +193,7 @@ class Session:
         if (learner.task.name, learner.task.plain_preset) != (now.task.name, now.task.plain_preset):
             self._settle_speed()
 
-    def _take_over(self) -> None:
+    def take_over(self) -> None:
         """The run goes on from what is shown of its past."""
         player = self.showing.player
         if player is None:
@@ -243,13 +203,15 @@ class Session:
         self._renew(keep_evaluations_to=step)
         self.tempo.pause(paused=False)
 
-    def _begin_fork(self, difference: Difference) -> None:
+    def begin_fork(self, difference: Difference) -> None:
+        """Go on from what is shown in two copies."""
         if self.showing.player is not None:
-            self._take_over()
+            self.take_over()
         self.showing.fork = Fork(self.run, difference)
         self.showing.forget()
 
-    def _end_fork(self, *, keep_other: bool) -> None:
+    def end_fork(self, *, keep_other: bool) -> None:
+        """Keep one of the two copies."""
         fork, self.showing.fork = self.showing.fork, None
         if fork is None:
             raise ValueError("there is no fork to end")
@@ -260,7 +222,7 @@ class Session:
             )  # fmt: skip
             self._renew()
 
-    def _start_recording(self, name: str) -> None:
+    def start_recording(self, name: str) -> None:
         """Each one takes a file and threads, so a page may not start them as fast as it can."""
         wait = self._begins_recordings.wait(time.monotonic())
         if wait:
@@ -268,7 +230,8 @@ class Session:
             raise ValueError(f"{most}: try again in {math.ceil(wait)} s")
         self.recordings.start_named(name)
 
-    def _evaluate(self) -> None:
+    def evaluate(self) -> None:
+        """See how a frozen copy does, while the run goes on."""
         if not self.evaluator.is_free():
             raise ValueError("a frozen copy is being evaluated: its figures come in a moment")
         self.evaluator.start(self.run.learner, self.run.task_name)

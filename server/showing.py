@@ -2,24 +2,10 @@
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Callable
 
 from hebbviz.moments import Block, Frame
-from server.commands import (
-    BackToNow,
-    Event,
-    Looking,
-    NextLane,
-    Probe,
-    Seek,
-    SeekEvent,
-    SetLoop,
-    SetWatch,
-    SetWatchSpeed,
-    ShowBeginning,
-    ShowReward,
-    WatchLane,
-)
 from server.fork import Fork
 from server.picture import Other, Past
 from server.player import Player
@@ -33,6 +19,14 @@ NOTHING_TO_PLAY = (
     "the latest reward is played of a run that is shown live and alone: go back to now, or end the "
     "fork"
 )
+
+
+class Event(enum.Enum):
+    """What can be looked for from the step that is shown."""
+
+    CHANGE_BEFORE = "the change before"
+    NEXT_CHANGE = "the next change"
+    NEXT_REWARD = "the next reward"
 
 
 class Showing:
@@ -107,34 +101,29 @@ class Showing:
             return None
         return Other(str(fork.difference), fork.start, fork.frame(), fork.curve())
 
-    def carry_out(self, command: Looking) -> None:
-        match command:
-            case SetWatch(on):
-                self.watch.on = on
-                if not on:
-                    self.watch.clear()
-            case SetWatchSpeed(speed):
-                self.watch.speed = speed
-            case ShowReward():
-                self._show_reward()
-            case ShowBeginning():
-                self.watch.show_beginning(self._run)
-            case WatchLane(lane):
-                self._look_at(lane)
-            case NextLane(by):
-                self._look_at((self._run.learner.watch + by) % self._run.learner.lanes)
-            case Probe(synapses):
-                self._probes = synapses
-                self._probe()
-            case Seek(step):
-                self.visit().seek(step)
-            case SeekEvent(event):
-                self._seek_event(event)
-            case SetLoop(loop):
-                self.visit().loop = loop
-            case BackToNow():
-                self.player = None
-                self.live_trail.clear()
+    def watch_excerpts(self, *, on: bool) -> None:
+        """Play excerpts at a speed the eye can follow, while the run goes on."""
+        self.watch.on = on
+        if not on:
+            self.watch.clear()
+
+    def show_beginning(self) -> None:
+        """Play the first steps of the run, if excerpts are on."""
+        self.watch.show_beginning(self._run)
+
+    def back_to_now(self) -> None:
+        """Leave the past."""
+        self.player = None
+        self.live_trail.clear()
+
+    def probe(self, synapses: tuple[int, ...]) -> None:
+        """Follow the traces of these synapses."""
+        self._probes = synapses
+        self._probe()
+
+    def look_at_next(self, by: int) -> None:
+        """Show the lane that comes so many later, round and round."""
+        self.look_at((self._run.learner.watch + by) % self._run.learner.lanes)
 
     def visit(self) -> Player:
         """Show the past of the run, which rests meanwhile."""
@@ -144,7 +133,8 @@ class Showing:
             self.player = Player(self._run)
         return self.player
 
-    def _seek_event(self, event: Event) -> None:
+    def seek_event(self, event: Event) -> None:
+        """Show the next or the former one, or say that none was found."""
         player = self.visit()
         if event is Event.NEXT_REWARD:
             step = player.next_reward()
@@ -155,13 +145,14 @@ class Showing:
         else:
             player.seek(step)
 
-    def _show_reward(self) -> None:
+    def show_reward(self) -> None:
+        """Play the latest reward in slow motion."""
         if self.player is not None or self.fork is not None:
             raise ValueError(NOTHING_TO_PLAY)
         if not self.watch.show_reward(self._run):
             self._notice("no reward has come yet")
 
-    def _look_at(self, lane: int) -> None:
+    def look_at(self, lane: int) -> None:
         """Show another lane: now, in excerpts, in the past, in both copies of a fork."""
         if lane == self._run.learner.watch:
             return

@@ -7,7 +7,14 @@ the stretches before it took. Seconds are told, and steps: nothing here knows of
 
 from __future__ import annotations
 
-from server.commands import MAX, REALTIME, Speed
+import math
+
+LARGEST_SPEED = 1e9
+REALTIME = "realtime"
+MAX = "max"
+
+Speed = float | str
+"""Steps per second, or 'realtime' (tasks with a dt), or 'max'."""
 
 STRETCH_SECONDS = 0.012
 """Aim for one uninterrupted stretch of steps; a command waits at most about twice this."""
@@ -18,6 +25,17 @@ MOST_OWED_SECONDS = 0.25
 """A run that cannot keep up with its speed does not save up more than this."""
 SLOW_STRETCHES = 5
 """Stretches over which the speed is measured where a second has fewer."""
+
+
+def check_speed(speed: Speed) -> Speed:
+    """The speed itself; raises ValueError unless it is 'max', 'realtime' or steps/s above 0."""
+    if speed in (REALTIME, MAX):
+        return speed
+    if isinstance(speed, bool) or not isinstance(speed, (int, float)):
+        raise ValueError(f"speed must be steps per second, realtime or max, got {speed!r}")
+    if not math.isfinite(speed) or not 0.0 < speed <= LARGEST_SPEED:
+        raise ValueError(f"speed must be above 0 and at most {LARGEST_SPEED:g}, got {speed!r}")
+    return float(speed)
 
 
 class Tempo:

@@ -10,7 +10,6 @@ from server.commands import (
     BackToNow,
     Command,
     EndFork,
-    Event,
     Seek,
     SeekEvent,
     SetLoop,
@@ -20,6 +19,7 @@ from server.commands import (
 from server.fork import BETA, GAMMA, KINDS
 from server.picture import Picture
 from server.player import Check
+from server.showing import Event
 from server.widgets import Widgets, assign
 
 EVENTS = {

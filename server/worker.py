@@ -11,7 +11,8 @@ import time
 import traceback
 
 from hebbviz.learner import TaskError
-from server.commands import Command, settled
+from server.changes import settled
+from server.commands import Command, carry_out
 from server.history import Totals
 from server.inbox import Inbox
 from server.inflow import TimeShare
@@ -103,7 +104,7 @@ class Worker(threading.Thread):
 
     def _carry_out(self, command: Command) -> None:
         try:
-            self._session.carry_out(command)
+            carry_out(command, self._session)
         except (ValueError, TaskError) as error:
             self._session.notice(str(error))
 

@@ -27,7 +27,8 @@ from raw_client import wait_until  # noqa: E402
 
 from hebbviz.learner import Learner  # noqa: E402
 from server.app import Site  # noqa: E402
-from server.commands import Choose, Command, Pause, Press, Reset, SetBeta  # noqa: E402
+from server.changes import Press, SetBeta  # noqa: E402
+from server.commands import Choose, Command, Pause, Reset  # noqa: E402
 from server.picture import Picture  # noqa: E402
 from server.recording.recordings import Options  # noqa: E402
 from server.recording.viewer import Viewer  # noqa: E402

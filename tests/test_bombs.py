@@ -91,11 +91,20 @@ def of_runs() -> bytes:
     return recording(message(arrow({"a": pa.RunEndEncodedArray.from_arrays(ends, values)})))
 
 
+def of_a_column_outside() -> bytes:
+    column = pa.array(np.zeros(1000))
+    place, elsewhere = struct.pack("<qq", 8000, 8000), struct.pack("<qq", 8000 << 30, 8000)
+    stream = arrow({"a": column, "b": column})
+    assert stream.count(place) == 1
+    return recording(message(stream.replace(place, elsewhere)))
+
+
 RECORDINGS: dict[str, tuple[Callable[[], bytes], str]] = {
     "zstd": (of_zstd, "packed columns"),
     "lz4": (of_lz4, "a message of 1000000000 bytes"),
     "null": (of_rows_without_columns, "a column of null"),
     "runs": (of_runs, "a column of run_end_encoded"),
+    "outside": (of_a_column_outside, "it is damaged (Read out of bounds"),
 }
 
 

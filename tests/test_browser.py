@@ -37,16 +37,8 @@ from hebbviz.rules.baseline import Baseline
 from hebbviz.rules.paper import PAPER
 from server import session
 from server.app import Site
-from server.commands import (
-    Choose,
-    Freeze,
-    Pause,
-    Reset,
-    SetBeta,
-    SetSpeed,
-    SetWatch,
-    StepOnce,
-)
+from server.changes import Freeze, SetBeta
+from server.commands import Choose, Pause, Reset, SetSpeed, SetWatch, StepOnce
 from server.look import network_at, place
 from server.picture import Picture
 from server.worker import Worker

@@ -31,17 +31,8 @@ from raw_client import RawClient, wait_until
 
 from hebbviz.learner import Learner
 from server.app import Site
-from server.commands import (
-    BackToNow,
-    EndFork,
-    Pause,
-    Reset,
-    SetBeta,
-    SetGamma,
-    SetSpeed,
-    SetWatch,
-    StepOnce,
-)
+from server.changes import SetBeta, SetGamma
+from server.commands import BackToNow, EndFork, Pause, Reset, SetSpeed, SetWatch, StepOnce
 from server.picture import Picture
 from server.recording.reader import open_recording
 from server.recording.recorder import Recorder

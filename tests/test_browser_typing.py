@@ -13,7 +13,8 @@ from raw_client import wait_until
 
 from hebbviz.learner import Learner
 from server.app import Site
-from server.commands import Pause, Seek, SetBeta, SetWatch
+from server.changes import SetBeta
+from server.commands import Pause, Seek, SetWatch
 from server.picture import Picture
 from server.worker import Worker
 from sims.loading import make_task

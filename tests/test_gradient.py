@@ -9,7 +9,7 @@ import pytest
 
 from hebbviz.learner import Learner
 from hebbviz.truth import GradientTruth, angle_between
-from server.commands import Freeze, GiveReward, Reset, SetBeta, SetFall, SetGamma, SetRule
+from server.changes import Freeze, GiveReward, SetBeta, SetFall, SetGamma, SetRule
 from server.estimate import (
     LEAST_POINTS,
     STAYED,
@@ -245,7 +245,7 @@ def test_undo_reset_and_taking_over_begin_anew():
     assert estimating.estimate is None
     go_on(run, 600)
     assert (known(estimating).since, known(estimating).earlier) == (600, ())
-    run.reset(Reset(seed=3))
+    run.reset(seed=3)
     go_on(run, 800)
     assert known(estimating).since == run.learner.step == 800
     replay = run.replay(run.tape.before(0))

@@ -7,17 +7,8 @@ from typing import TYPE_CHECKING, Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from server.commands import (
-    Choose,
-    Command,
-    GiveReward,
-    Pause,
-    Reset,
-    Seek,
-    SetBeta,
-    SetGamma,
-    SetWatch,
-)
+from server.changes import GiveReward, SetBeta, SetGamma
+from server.commands import Choose, Command, Pause, Reset, Seek, SetWatch
 from server.inbox import MOST_WAITING, SETTINGS, Inbox
 
 if TYPE_CHECKING:

@@ -15,19 +15,14 @@ from test_worker import bench
 from hebbviz.learner import Learner
 from hebbviz.moments import join
 from server import learning
+from server.changes import Change, Freeze, GiveReward, SetBeta, SetGamma
 from server.commands import (
     BackToNow,
-    Change,
-    Choose,
     EndFork,
-    Freeze,
-    GiveReward,
     NextLane,
     Pause,
     Reset,
     Seek,
-    SetBeta,
-    SetGamma,
     SetSpeed,
     StartFork,
     TakeOver,
@@ -280,7 +275,7 @@ def test_undo_and_another_number_of_lanes(many: Run) -> None:
     run = go_on(new_run(many.task_name), 1000)
     run.look_at(3)
     before = run.learner.keyframe().digest()
-    run.reset(Reset(lanes=2))
+    run.reset(lanes=2)
     assert (run.learner.lanes, run.learner.watch, run.learner.seed) == (2, 0, SEED)
     assert run.undo_words == "2 lanes"
     run.advance(50)
@@ -291,15 +286,15 @@ def test_undo_and_another_number_of_lanes(many: Run) -> None:
     assert (run.learner.keyframe().digest(), run.learner.watch) == (before, 0)
     assert same_learner(go_on(run).learner, many.learner)
     run.look_at(3)
-    run.reset(Reset())
+    run.reset()
     assert (run.learner.lanes, run.learner.watch) == (LANES, 3)
 
 
 def test_another_task_begins_with_one_lane_and_another_network_with_as_many() -> None:
     run = new_run()
-    run.choose(Choose("sonar", "paper", (4,)))
+    run.choose("sonar", "paper", (4,))
     assert run.learner.lanes == LANES
-    run.choose(Choose("pendulum"))
+    run.choose("pendulum")
     assert run.learner.lanes == 1
 
 

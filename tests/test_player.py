@@ -15,18 +15,16 @@ from hypothesis import strategies as st
 
 from hebbviz.learner import Learner
 from hebbviz.moments import Keyframe, join
+from server.changes import SetBeta, SetGamma
 from server.commands import (
     BackToNow,
     Choose,
     EndFork,
-    Event,
     Pause,
     Probe,
     Reset,
     Seek,
     SeekEvent,
-    SetBeta,
-    SetGamma,
     SetLoop,
     SetSpeed,
     SetWatch,
@@ -47,7 +45,7 @@ from server.recording.recordings import Options, Recordings
 from server.recording.targets import FileTarget
 from server.run import Run
 from server.session import Session
-from server.showing import NOTHING_TO_PLAY
+from server.showing import NOTHING_TO_PLAY, Event
 from server.tape import Moment, Pace, Tape
 from server.trail import STEPS
 from server.worker import Worker
@@ -269,7 +267,7 @@ def test_former_runs_are_forgotten_before_they_take_all_memory(
         for _ in range(20):
             run.advance(10)
             run.keep()
-        run.reset(Reset())
+        run.reset()
     undone = 0
     while run.undo() is not None:
         undone += 1

@@ -15,13 +15,12 @@ from conformance import same_learner
 
 from hebbviz.learner import Learner
 from hebbviz.moments import Block, join
-from server.commands import (
+from server.changes import (
     Change,
     Freeze,
     GiveReward,
     Logged,
     Press,
-    Reset,
     SetBeta,
     SetFall,
     SetGamma,
@@ -421,7 +420,7 @@ def test_a_leap_in_time_begins_another_file(tmp_path: Path) -> None:
     run.advance(50)
     run.undo()
     run.advance(20)
-    run.reset(Reset())
+    run.reset()
     run.advance(10)
     recorder.close(run)
     first, second, third = (

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from hebbviz.learner import Learner
+from server.changes import SetBeta
 from server.cli.main import main
-from server.commands import SetBeta
 from server.recording import take
 from server.recording.export import export_timelines
 from server.recording.reader import BadRecording, open_recording

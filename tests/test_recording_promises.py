@@ -31,8 +31,8 @@ from raw_client import answers, wait_until
 
 from hebbviz.learner import Learner
 from hebbviz.moments import Keyframe
+from server.changes import SetBeta
 from server.cli.main import main
-from server.commands import Reset, SetBeta
 from server.recording import header, take, thinning
 from server.recording.reader import BadRecording, Recording, open_recording
 from server.recording.recorder import Recorder
@@ -710,7 +710,7 @@ def test_a_leap_ends_one_file_whole_and_begins_another(tmp_path: Path) -> None:
     run.change(SetBeta(0.5))
     advance(run, 500)
     leap(run.undo, "β 0.5 was undone")
-    leap(lambda: run.reset(Reset(seed=7)), "the run was reset")
+    leap(lambda: run.reset(seed=7), "the run was reset")
     replay = run.replay(run.tape.before(0))  # type: ignore[arg-type]
     replay.go_to(100)
     leap(lambda: run.take_over(replay), "the run goes on from step 100")
@@ -733,7 +733,7 @@ def test_a_name_that_is_taken_after_a_leap_ends_the_recording_alone(tmp_path: Pa
     notices: list[str] = []
     recordings = Recordings(run, Options(file=tmp_path / "run.rrd"), on_notice=notices.append)
     advance(run, 500)
-    run.reset(Reset())
+    run.reset()
     for _ in range(3):
         advance(run, 200)
         run.change(SetBeta(0.7))

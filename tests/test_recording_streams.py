@@ -15,7 +15,6 @@ from raw_client import wait_until
 
 import server.run
 from hebbviz.learner import Learner
-from server.commands import Reset
 from server.recording import streams
 from server.recording.reader import open_recording
 from server.recording.recordings import Options, Recordings
@@ -49,7 +48,7 @@ def record(run: Run, recordings: Recordings, path: Path) -> None:
 def record_and_reset(run: Run) -> None:
     run.advance(50)
     run.frame()
-    run.reset(Reset())
+    run.reset()
 
 
 @linux

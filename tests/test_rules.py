@@ -22,7 +22,7 @@ from hebbviz.rules.baseline import Baseline
 from hebbviz.rules.paper import Paper
 from hebbviz.rules.yoked import Yoked
 from hebbviz.task import Reading
-from server.commands import Reset, SetBeta, SetFall, SetRule
+from server.changes import SetBeta, SetFall, SetRule
 from server.experiments import Plan
 from server.experiments.run import _completed
 from server.fork import KINDS, Difference, Fork
@@ -596,7 +596,7 @@ def test_a_new_run_keeps_the_rule_and_a_copy_has_it_too():
         fork = Fork(run, Difference(kind, 0.5))
         assert (fork.learner.rule, fork.learner.fall) == (Baseline(time=7.0), 900.0)
         assert np.array_equal(fork.learner.memory, run.learner.memory)
-    run.reset(Reset())
+    run.reset()
     assert (run.learner.rule, run.learner.fall, run.learner.step) == (Baseline(time=7.0), 900.0, 0)
 
 

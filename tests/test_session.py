@@ -18,7 +18,7 @@ from sims.loading import make_task
 def session() -> Session:
     """Of the pendulum, at 1 000 steps per second, two seconds after its start."""
     it = Session(Run(Learner(make_task("pendulum")), make_task), on_notice=print)
-    it.carry_out(SetSpeed(1000.0))
+    SetSpeed(1000.0).apply(it)
     for _ in range(40):
         go_on(it, 0.05)
     return it
@@ -45,35 +45,35 @@ def test_one_of_the_run_an_excerpt_and_its_past_is_shown(session: Session) -> No
     live, frame = shown(session)
     assert frame.step < live.step
     assert session.showing.watch.excerpt() is not None
-    session.carry_out(Seek(450))
+    Seek(450).apply(session)
     assert shown(session)[1].step == 450
     assert session.showing.watch.excerpt() is None
-    session.carry_out(BackToNow())
-    session.carry_out(SetSpeed(2.0))  # as slow as can be seen
+    BackToNow().apply(session)
+    SetSpeed(2.0).apply(session)  # as slow as can be seen
     live, frame = shown(session)
     assert frame is live
 
 
 def test_the_run_rests_while_its_past_is_shown(session: Session) -> None:
     step = session.run.learner.step
-    session.carry_out(Seek(450))
+    Seek(450).apply(session)
     go_on(session, 0.05)
     assert session.run.learner.step == step
-    session.carry_out(TakeOver())
+    TakeOver().apply(session)
     go_on(session, 0.05)
     assert session.run.learner.step == 500
 
 
 def test_two_copies_go_on_together_and_have_no_past(session: Session) -> None:
-    session.carry_out(StartFork(NO_MEMORY))
+    StartFork(NO_MEMORY).apply(session)
     go_on(session, 0.05)
     other = session.showing.other()
     assert other is not None
     assert other.frame.step == session.run.learner.step > other.start
     with pytest.raises(ValueError, match="end the fork first"):
-        session.carry_out(Seek(450))
+        Seek(450).apply(session)
     with pytest.raises(ValueError, match=NOTHING_TO_PLAY):
-        session.carry_out(ShowReward())
-    session.carry_out(EndFork())
-    session.carry_out(Seek(450))
+        ShowReward().apply(session)
+    EndFork().apply(session)
+    Seek(450).apply(session)
     assert shown(session)[1].step == 450

@@ -11,8 +11,8 @@ from conformance import same_learner
 from hebbviz import files
 from hebbviz.learner import Learner
 from hebbviz.switches import UnknownPreset
+from server.changes import Freeze, SetBeta, SetRule
 from server.cli.main import main
-from server.commands import Freeze, Reset, SetBeta, SetRule
 from server.recording.reader import open_recording
 from server.run import Run
 from sims.loading import make_task
@@ -68,14 +68,14 @@ def test_a_run_begins_again_with_a_switch_set_and_all_else_as_it_is() -> None:
         run.change(change)
     run.advance(600)
     before = run.learner
-    run.reset(Reset(switch=("centred", True)))
+    run.reset(switch=("centred", True))
     learner = run.learner
     assert is_centred(learner) and not is_centred(before)
     assert (learner.step, learner.seed, learner.lanes) == (0, 3, 2)
     assert (learner.beta, str(learner.rule), learner.frozen) == (0.25, BASELINE, True)
     assert learner.topology == before.topology
     assert run.undo_words == "centred on"
-    run.reset(Reset(seed=9))
+    run.reset(seed=9)
     assert is_centred(run.learner), "another seed leaves it switched on"
     run.undo()
     run.undo()
@@ -87,11 +87,11 @@ def test_a_switch_that_brings_an_input_fits_the_network_to_it_and_undo_takes_it_
     run = Run(Learner(make_task("sonar"), hidden=(5,), lanes=2), make_task)
     run.advance(600)
     before = run.learner
-    run.reset(Reset(switch=("constant", True)))
+    run.reset(switch=("constant", True))
     assert run.learner.topology.describe() == "61-5-1"
     assert (run.learner.activities[ENERGIES] == 1.0).all()
     run.advance(600)
-    run.reset(Reset(switch=("constant", False)))
+    run.reset(switch=("constant", False))
     assert run.learner.topology == before.topology
     run.undo()
     assert run.learner.topology.describe() == "61-5-1"
@@ -103,7 +103,7 @@ def test_a_switch_that_brings_an_input_fits_the_network_to_it_and_undo_takes_it_
 def test_an_unknown_switch_leaves_the_run_as_it_is() -> None:
     run = Run(Learner(make_task("sonar")), make_task)
     with pytest.raises(ValueError, match="no switch 'bent'; it has centred, scaled, constant"):
-        run.reset(Reset(switch=("bent", True)))
+        run.reset(switch=("bent", True))
     assert run.undo_words is None
 
 

@@ -6,11 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from server.commands import MAX, REALTIME
 from server.tempo import (
     LONGEST_STRETCH,
     LONGEST_STRETCH_SECONDS,
+    MAX,
     MOST_OWED_SECONDS,
+    REALTIME,
     STRETCH_SECONDS,
     Tempo,
 )

@@ -12,7 +12,8 @@ from raw_client import RawClient, wait_until
 
 from hebbviz.learner import Learner
 from server import controls, guard
-from server.commands import Command, SetBeta, SetGamma, SetSpeed
+from server.changes import SetBeta, SetGamma
+from server.commands import Command, SetSpeed
 from server.controls import Controls
 from server.widgets import Widgets
 from sims import TASKS

@@ -6,6 +6,7 @@ import contextlib
 import re
 import threading
 import time
+from collections.abc import Callable
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -21,19 +22,23 @@ from hebbviz.rules.baseline import Baseline
 from hebbviz.rules.paper import PAPER
 from hebbviz.task import Input, Output, Preset, Tally, Task
 from server import evaluation, session
+from server.changes import (
+    Change,
+    Freeze,
+    GiveReward,
+    Logged,
+    Press,
+    SetBeta,
+    SetGamma,
+    SetRule,
+    settled,
+)
 from server.commands import (
     Choose,
     Command,
     Evaluate,
-    Freeze,
-    GiveReward,
-    Logged,
     Pause,
-    Press,
     Reset,
-    SetBeta,
-    SetGamma,
-    SetRule,
     SetSpeed,
     SetWatch,
     SetWatchSpeed,
@@ -43,7 +48,6 @@ from server.commands import (
     StepOnce,
     StopRecording,
     Undo,
-    settled,
 )
 from server.fork import NO_MEMORY
 from server.history import CAPACITY, History, Totals
@@ -243,10 +247,10 @@ def test_recordings_begin_at_most_so_many_times_a_minute(tmp_path: Path) -> None
     recordings = Recordings(run, Options(folder=tmp_path), on_notice=said.append)
     session = Session(run, on_notice=said.append, recordings=recordings)
     for k in range(RECORDINGS_A_MINUTE):
-        session.carry_out(StartRecording(f"{k}.rrd"))
-        session.carry_out(StopRecording())
+        StartRecording(f"{k}.rrd").apply(session)
+        StopRecording().apply(session)
     with pytest.raises(ValueError, match="in a minute: try again in"):
-        session.carry_out(StartRecording("one more.rrd"))
+        StartRecording("one more.rrd").apply(session)
     assert len(list(tmp_path.iterdir())) == RECORDINGS_A_MINUTE
     assert said == []
 
@@ -256,7 +260,7 @@ def test_commands_leave_the_run_most_of_the_time() -> None:
     steps, made = Steps(), []
 
     class Slow(Session):
-        def carry_out(self, command: Command) -> None:
+        def change(self, change: Change) -> None:
             made.append(time.monotonic())
             time.sleep(0.02)
 
@@ -290,14 +294,20 @@ def test_commands_that_come_together_act_at_one_step() -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [Reset(), Reset(seed=5), Choose("sonar"), Choose("pendulum", "raw", (3,))]
+    "begin",
+    [
+        lambda run: run.reset(),
+        lambda run: run.reset(seed=5),
+        lambda run: run.choose("sonar"),
+        lambda run: run.choose("pendulum", "raw", (3,)),
+    ],
 )
-def test_undo_of_another_run(command: Reset | Choose) -> None:
+def test_undo_of_another_run(begin: Callable[[Run], None]) -> None:
     run = new_run(seed=2)
     run.change(SetGamma(0.05))
     go_to(run, 1234)
     at = fresh(run, 1234)
-    run.reset(command) if isinstance(command, Reset) else run.choose(command)
+    begin(run)
     assert (run.learner.step, run.log) == (0, [])
     go_to(run, 99)
     run.change(SetBeta(0.1))
@@ -314,12 +324,12 @@ def test_reset_keeps_what_is_set_and_leaves_a_ghost() -> None:
     run.change(SetBeta(0.6))
     run.change(Freeze(frozen=True))
     go_to(run, 5000)
-    run.reset(Reset())
+    run.reset()
     learner = run.learner
     assert (learner.step, learner.seed, learner.beta, learner.frozen) == (0, 2, 0.6, True)
     assert run.ghost is not None
     assert run.ghost.lane(0).steps.sum() == 5000
-    run.reset(Reset(seed=9))
+    run.reset(seed=9)
     assert run.learner.seed == 9
 
 

@@ -24,7 +24,7 @@ from server.numbers import about_commas
 
 if TYPE_CHECKING:
     from server.app import Site
-    from server.commands import Speed
+    from server.tempo import Speed
 
 
 def add(commands: Any) -> None:

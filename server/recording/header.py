@@ -16,7 +16,7 @@ from hebbviz.rules import Rule, make_rule
 from hebbviz.rules.paper import PAPER
 from hebbviz.task import Tally, Task
 from hebbviz.topology import Topology
-from server.commands import (
+from server.changes import (
     Change,
     Freeze,
     GiveReward,

@@ -56,7 +56,10 @@ class Rows:
             _check_type(kind)
         if _is_packed(self._message.metadata):
             raise ValueError("packed columns")
-        batch = ipc.read_record_batch(self._message, self.schema)
+        try:
+            batch = ipc.read_record_batch(self._message, self.schema)
+        except OSError as error:  # Arrow's, for a column that is said to lie outside
+            raise ValueError(str(error)) from error
         batch.validate(full=True)
         if batch.num_rows * _ROW_ID_BYTES > self.size:
             raise ValueError("more rows than it has room for")

@@ -16,7 +16,7 @@ from hebbviz.moments import Keyframe
 from hebbviz.rules import Rule
 from hebbviz.rules.paper import PAPER
 from hebbviz.task import Tally, Task
-from server.commands import Logged
+from server.changes import Logged
 from server.history import History, Totals
 from server.recording import messages
 from server.recording.chunks import Table, read, readable

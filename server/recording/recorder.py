@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from hebbviz.moments import Block, Frame
 from hebbviz.task import Tally
-from server.commands import Logged
+from server.changes import Logged
 from server.history import usual_window
 from server.recording import thinning
 from server.recording.header import TASK, Header, check_recordable, machine, versions

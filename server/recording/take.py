@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hebbviz.learner import Learner
 from hebbviz.moments import Block, Frame
 from hebbviz.task import Tally, Task
-from server.commands import Logged
+from server.changes import Logged
 from server.recording.header import Header
 from server.recording.scene import MOST_LIT
 from server.recording.status import Status

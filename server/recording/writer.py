@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hebbviz.moments import Block, Frame
 from hebbviz.rules import make_rule
 from hebbviz.task import Tally, Task
-from server.commands import Logged
+from server.changes import Logged
 from server.palette import SERIES
 from server.recording import rows
 from server.recording.blueprint import LOG_GAMMA, blueprint, curves_of, log_curve
