@@ -20,12 +20,12 @@ from server import camera, palette, style, words
 from server.admission import TabButtons
 from server.commands import Command, Probe, ShowBeginning
 from server.controls import Controls
-from server.estimate import knows_its_truth
 from server.guard import GuardedServer
 from server.inspector import Inspector
 from server.look import Looks, unit_names
 from server.palette import THEMES
-from server.panels import Panels
+from server.panels import Panels, wanted_tabs
+from server.panels.base import TABS, Place
 from server.picture import Picture
 from server.record import Record
 from server.stage import Picks, Stage, half_apart
@@ -147,24 +147,12 @@ class Page:
         self._rebuild(picture)
 
     def _make_tabs(self, picture: Picture) -> dict[str, Any]:
-        """Two panels beside the scene, and their tabs; first those of a truth that is known."""
-        above = {
-            "run": ("Learning", viser.Icon.CHART_LINE),
-            "reward": ("Reward, rates", viser.Icon.ACTIVITY),
-        }
-        below = {
-            "now": ("Spikes now", viser.Icon.BOLT),
-            "synapses": ("Synapses", viser.Icon.GRID_DOTS),
-        }
-        if knows_its_truth(picture.task):
-            above = {"gradient": ("Gradient", viser.Icon.COMPASS)} | above
-            below = {"angle": ("Angle", viser.Icon.ANGLE)} | below
+        """Two panels beside the scene, one below the other, and the tabs that are wanted."""
         upper, lower = self._beside = self._server.gui.add_panel(), self._server.gui.add_panel()
-        made = {
-            key: panel.add_tab(*tab)
-            for panel, tabs in ((upper, above), (lower, below))
-            for key, tab in tabs.items()
-        }
+        made = {}
+        for name in wanted_tabs(picture):
+            tab = TABS[name]
+            made[name] = (lower if tab.is_below else upper).add_tab(tab.title, tab.icon)
         upper.dock_left()
         lower.dock_below(upper)
         for panel in self._beside:  # the width of the one is lost at times as the other docks
@@ -172,8 +160,8 @@ class Page:
         return made
 
     def _remake_tabs(self, picture: Picture) -> None:
-        """With or without the tabs of a truth, whichever the task asks for."""
-        if ("gradient" in self._tabs) != knows_its_truth(picture.task):
+        """Other tabs, where the task asks for others."""
+        if tuple(self._tabs) != wanted_tabs(picture):
             for panel in self._beside:
                 panel.remove()
             self._tabs = self._make_tabs(picture)
@@ -209,7 +197,7 @@ class Page:
         self._names = unit_names(topology, tuple(i.name for i in task.inputs))
         self._looks, self._other_stage = Looks(topology, theme), None
         self._stage = self._new_stage("this", picture, self._looks)
-        self._panels = Panels(self._server.gui, self._tabs, picture, theme)
+        self._panels = Panels(Place(self._server.gui, self._tabs, picture, theme))
         self._frame_camera(picture)
         self._key.content = words.key(task)
         assign(self._view, "options", camera.views(task))

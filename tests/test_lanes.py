@@ -14,7 +14,6 @@ from test_worker import bench
 
 from hebbviz.learner import Learner
 from hebbviz.moments import join
-from server import learning
 from server.changes import Change, Freeze, GiveReward, SetBeta, SetGamma
 from server.commands import (
     BackToNow,
@@ -32,6 +31,7 @@ from server.commands import (
 from server.fork import BETA, GAMMA, KINDS, Difference, Fork
 from server.history import Curve, Curves, Totals
 from server.making import MOST_SHOWN_LANES
+from server.panels import learning
 from server.player import Player
 from server.pooling import ENOUGH, latest, pooled, pooled_curve, pools
 from server.recording.reader import open_recording

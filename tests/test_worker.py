@@ -51,7 +51,7 @@ from server.commands import (
 )
 from server.fork import NO_MEMORY
 from server.history import CAPACITY, History, Totals
-from server.learning import evaluated
+from server.panels.learning import evaluated
 from server.picture import Picture
 from server.recording.recordings import Options, Recordings
 from server.run import Follower, Run

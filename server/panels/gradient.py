@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import viser
 from numpy.typing import NDArray
 
 from hebbviz.moments import Frame
@@ -13,9 +10,10 @@ from hebbviz.truth import GradientTruth
 from server import palette, words
 from server.arrows import ESTIMATE, TRUTH, bars, dial
 from server.charts import Chart, Points
-from server.estimate import AngleCurve, Estimate, tells_the_mean, truth_of
+from server.estimate import AngleCurve, Estimate, knows_its_truth, tells_the_mean, truth_of
 from server.look import Scale, endpoints, unit_names
-from server.palette import Rgb, Theme, css
+from server.palette import Rgb, css
+from server.panels.base import Panel, Place
 from server.picture import Picture
 from server.widgets import assign
 
@@ -38,33 +36,42 @@ _THEORY_WORDS = (
 )
 
 
-class GradientPanel:
+class Gradient(Panel):
     """Angle, words and bars in one tab, the curve in another; `draw` renews them all."""
 
-    def __init__(
-        self, gui: viser.GuiApi, tabs: dict[str, Any], picture: Picture, theme: Theme
-    ) -> None:
-        self._theme, topology = theme, picture.live.topology
-        names = unit_names(topology, tuple(i.name for i in picture.task.inputs))
+    tabs, order = ("gradient", "angle"), 90
+
+    def __init__(self, place: Place) -> None:
+        super().__init__(place)
+        gui, tabs, topology = place.gui, place.tabs, place.topology
+        self._theme = place.theme
+        names = unit_names(topology, tuple(i.name for i in place.picture.task.inputs))
         self._names = [
             f"{names[pre]} → {names[post]}" for pre, post in zip(*endpoints(topology), strict=True)
         ]
         self._scale = Scale()
         with tabs["gradient"]:
-            self._head = gui.add_html("")
-            self._words = gui.add_markdown("")
-            self._bars = gui.add_html("")
-        self._chart = Chart(
-            gui, tabs["angle"], "angle (°) over steps since the last change",
-            {NOW: ESTIMATE, THEORY: THEORY_COLOR}, dashed=(THEORY,), logarithmic=True,
-            log_steps=True, span=SPAN, height=230,
-        )  # fmt: skip
+            self._head = self.hold(gui.add_html(""))
+            self._words = self.hold(gui.add_markdown(""))
+            self._bars = self.hold(gui.add_html(""))
+        chart = Chart(
+            gui,
+            tabs["angle"],
+            "angle (°) over steps since the last change",
+            {NOW: ESTIMATE, THEORY: THEORY_COLOR},
+            dashed=(THEORY,),
+            logarithmic=True,
+            log_steps=True,
+            span=SPAN,
+            height=230,
+        )
+        self._chart = self.hold(chart)
         with tabs["angle"]:
-            self._chart_words = gui.add_markdown("")
+            self._chart_words = self.hold(gui.add_markdown(""))
 
-    def remove(self) -> None:
-        for handle in (self._head, self._words, self._bars, self._chart, self._chart_words):
-            handle.remove()
+    @staticmethod
+    def wanted(picture: Picture) -> bool:
+        return knows_its_truth(picture.task)
 
     def draw(self, picture: Picture) -> None:
         """Renew everything, of the run itself or of what is shown of its past."""

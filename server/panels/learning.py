@@ -3,40 +3,41 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-import viser
 from numpy.typing import NDArray
 
 from hebbviz.poisson import time_to_event
 from hebbviz.task import Measure, Tally, Task
 from server import palette, spread, words
 from server.changes import GiveReward
-from server.charts import Chart, Cursor, Points
+from server.charts import Chart, Points
 from server.evaluation import Evaluation
 from server.history import Curve
-from server.palette import Rgb, Theme
-from server.picture import Other, Picture
+from server.palette import Rgb
+from server.panels.base import Panel, Place, cursor, marks, others, since
+from server.picture import Picture
 from server.pooling import ENOUGH, latest, pooled_curve
 from server.spread import Scores, Spread
 
 Array = NDArray[np.float64]
 Bands = dict[str, tuple[Points, Points]]
 
-OTHER: Rgb = palette.SERIES[3]
-"""Of the other copy of a fork."""
 EARLIER: Rgb = (140, 140, 140)
 HEIGHT, HEIGHT_WITH_LANES = 215, 230
 MOST_WINDOWS = 128
 """With several lanes longer windows are shown, so that the curve of one does not hide the rest."""
 
 
-class Learning:
-    """The chart and the words beneath it, for one task and number of lanes."""
+class Learning(Panel):
+    """The chart and the words beneath it."""
 
-    def __init__(self, gui: viser.GuiApi, tab: Any, picture: Picture, theme: Theme) -> None:
-        task, lanes = picture.task, picture.lanes
+    tabs, order = ("run",), 10
+
+    def __init__(self, place: Place) -> None:
+        super().__init__(place)
+        gui, tab = place.gui, place.tabs["run"]
+        task, lanes, theme = place.picture.task, place.picture.lanes, place.theme
         self._scores, self._ghost_scores = Scores(task), Scores(task)
         self._has_lanes = lanes > 1
         self._run = "watched lane" if self._has_lanes else "this run"
@@ -52,18 +53,22 @@ class Learning:
         series |= frozen
         measure = task.measure
         unit = f" ({measure.unit})" if measure.unit else ""
-        self._chart = Chart(
-            gui, tab, f"{measure.name}{unit}", series, banded=banded,
+        chart = Chart(
+            gui,
+            tab,
+            f"{measure.name}{unit}",
+            series,
+            banded=banded,
             widths=dict.fromkeys(banded, 2.5) | ({self._run: 0.8} if self._has_lanes else {}),
-            dashed=("earlier run",), dotted=(self._dots,), logarithmic=measure.logarithmic,
-            span=measure.span, height=HEIGHT_WITH_LANES if self._has_lanes else HEIGHT,
-        )  # fmt: skip
+            dashed=("earlier run",),
+            dotted=(self._dots,),
+            logarithmic=measure.logarithmic,
+            span=measure.span,
+            height=HEIGHT_WITH_LANES if self._has_lanes else HEIGHT,
+        )
+        self._chart = self.hold(chart)
         with tab:
-            self._words = gui.add_markdown("")
-
-    def remove(self) -> None:
-        for handle in (self._chart, self._words):
-            handle.remove()
+            self._words = self.hold(gui.add_markdown(""))
 
     def draw(self, picture: Picture) -> None:
         task, curve, all_lanes, newest = picture.task, picture.curve, None, None
@@ -97,33 +102,6 @@ class Learning:
             return {"earlier run": _scores(picture.task, ghost.lane(0))}
         middle = self._ghost_scores.spread(ghost.coarser(MOST_WINDOWS))
         return {"earlier run": _drawn(middle, picture.task.measure)[0]}
-
-
-# What other charts of a run show too
-
-
-def marks(picture: Picture) -> list[float]:
-    """The steps at which something was changed."""
-    return [float(c.step) for c in picture.changes]
-
-
-def cursor(picture: Picture) -> Cursor | None:
-    """Where in the run the step is that is shown of its past."""
-    past = picture.past
-    return None if past is None else Cursor(past.cursor, picture.first, picture.live.step)
-
-
-def since(other: Other) -> Curve:
-    """The other copy's curve from the fork on; before it there was but one."""
-    c, late = other.curve, other.curve.end > other.start
-    return Curve(
-        c.window, c.end[late], c.steps[late], c.reward[late], c.broadcast[late], c.ended[late]
-    )
-
-
-def others(picture: Picture) -> dict[str, Rgb]:
-    """Name and colour of the other copy's curve, while there is one."""
-    return {} if picture.other is None else {f"other: {picture.other.words}": OTHER}
 
 
 def evaluated(picture: Picture) -> str:
