@@ -6,7 +6,6 @@ the learner. What a tab clicks or types becomes a command.
 
 from __future__ import annotations
 
-import itertools
 import threading
 import time
 import traceback
@@ -18,24 +17,23 @@ import viser
 
 from server import camera, palette, style, words
 from server.admission import TabButtons
-from server.commands import Command, Probe, ShowBeginning
+from server.commands import Command
 from server.controls import Controls
 from server.guard import GuardedServer
-from server.inspector import Inspector
-from server.look import Looks, unit_names
+from server.look import Looks
 from server.palette import THEMES
 from server.panels import Panels, wanted_tabs
 from server.panels.base import TABS, Place
 from server.picture import Picture
 from server.record import Record
-from server.stage import Picks, Stage, half_apart
+from server.stage import Picks, Scene
 from server.travel import Forking, Rewind
+from server.visitors import Visitors
 from server.widgets import Widgets, assign
 from server.worker import Worker
 
 TEXT_SECONDS = 0.2
 """Words and numbers change no more often than this, so that they can be read."""
-INSPECTORS_AT_ONCE = 8
 COLUMN = 348
 """Width of the panels with the charts."""
 NOTICE_SECONDS = 6.0
@@ -52,22 +50,19 @@ class Page:
     def __init__(self, server: GuardedServer) -> None:
         self._server = server
         self._notices: deque[str] = deque(maxlen=20)
-        self._inspectors: dict[int, Inspector] = {}
-        self._inspected = 0
         self._lock = threading.RLock()
+        self._visitors = Visitors(server, self._lock, self._send)
         self._theme = THEMES["dark"]
         self._theme_changed = False
         self._built: tuple[object, ...] | None = None
-        self._stages = itertools.count()
-        self._stage: Stage | None = None
-        self._other_stage: Stage | None = None
+        self._scene = Scene(
+            server.scene, Picks(self._visitors.pick_unit, self._visitors.pick_synapse)
+        )
         self._panels: Panels | None = None
-        self._cameras = camera.Cameras()
         self._text_at = 0.0
         self._failed: str | None = None
         self._theme_at = 0.0
         self._drawn_at: deque[float] = deque(maxlen=60)
-        self._probes: tuple[int, ...] = ()
         self._worker: Worker | None = None
 
     def notify(self, text: str) -> None:
@@ -82,7 +77,7 @@ class Page:
             picture = worker.wait_for(number, timeout=0.25)
             began = time.monotonic()
             if picture is not None:
-                number = picture.number
+                number, self._visitors.picture = picture.number, picture
                 self._attempt("drawn", self._build if self._built is None else self._draw, picture)
             self._attempt("told its notices", self._say_notices)
             stop.wait(max(0.0, began + self._server.frame_seconds - time.monotonic()))
@@ -115,12 +110,12 @@ class Page:
         try:
             self._build_parts(picture)
         except Exception:
-            self._built = self._stage = self._other_stage = self._panels = None
+            self._built = self._panels = None
+            self._scene.forget()
             self._server.gui.reset()
             self._server.scene.reset()
             raise
-        self._server.on_client_connect(self._welcome)
-        self._server.on_client_disconnect(self._disconnected)
+        self._visitors.begin()
 
     def _build_parts(self, picture: Picture) -> None:
         server, gui = self._server, self._server.gui
@@ -180,7 +175,7 @@ class Page:
         @view.on_click
         def _(event: Any) -> None:
             if event.client is not None:
-                self._look_at(event.client, view.value)
+                self._visitors.look_at(event.client, view.value)
 
         @theme.on_update
         def _(_: Any) -> None:
@@ -189,49 +184,18 @@ class Page:
 
     def _rebuild(self, picture: Picture) -> None:
         """Make scene and panels for a task, network or theme."""
-        for part in (self._stage, self._other_stage, self._panels):
-            if part is not None:
-                part.remove()
+        if self._panels is not None:
+            self._panels.remove()
         self._remake_tabs(picture)
         task, topology, theme = picture.task, picture.live.topology, self._theme
-        self._names = unit_names(topology, tuple(i.name for i in task.inputs))
-        self._looks, self._other_stage = Looks(topology, theme), None
-        self._stage = self._new_stage("this", picture, self._looks)
+        self._looks = Looks(topology, theme)
+        self._scene.build(picture, self._looks)
         self._panels = Panels(Place(self._server.gui, self._tabs, picture, theme))
-        self._frame_camera(picture)
         self._key.content = words.key(task)
         assign(self._view, "options", camera.views(task))
         another = self._built is None or self._built[:2] != (task, topology)
-        for client in self._server.get_clients().values():
-            self._connected(client)
-            if another:
-                self._look_at(client, camera.OVERVIEW)
+        self._visitors.follow(picture, look_again=another)
         self._built = self._identity(picture)
-
-    def _new_stage(self, name: str, picture: Picture, looks: Looks) -> Stage:
-        """One under a number of its own: a tab lets what is made anew under a name that it knows
-        stand where the former stood.
-        """
-        picks = Picks(self._pick_unit, self._pick_synapse)
-        root = f"/{name} {next(self._stages)}"
-        return Stage(self._server.scene, root, picture, looks, picks)
-
-    def _part_copies(self, picture: Picture) -> None:
-        """With a fork two copies side by side, each with its name; without one the run alone."""
-        stage, other = self._stage, picture.other
-        if stage is None or (other is None) == (self._other_stage is None):
-            return
-        if other is None and self._other_stage is not None:
-            self._other_stage.remove()
-            self._other_stage = None
-        elif other is not None:
-            self._other_stage = self._new_stage("other", picture, self._looks.twin())
-            self._other_stage.move(half_apart(picture))
-            self._other_stage.name(f"other: {other.words}")
-        stage.move(-half_apart(picture) if other is not None else 0.0)
-        stage.name("this run" if other is not None else "")
-        for client in self._server.get_clients().values():
-            self._look_at(client, camera.OVERVIEW)
 
     def _identity(self, picture: Picture) -> tuple[object, ...]:
         live = picture.live
@@ -243,44 +207,6 @@ class Page:
             brand_color=palette.BRAND,
         )  # fmt: skip
         self._theme_changed = False
-
-    # Tabs
-
-    def _welcome(self, client: viser.ClientHandle) -> None:
-        self._connected(client)
-        if len(self._server.get_clients()) == 1 and not self._server.is_reader(client):
-            self._send(ShowBeginning())
-        if camera.aspect_of(client) < camera.WHOLE_ASPECT:
-            client.gui.main_panel.minimize()
-        self._look_at(client, camera.OVERVIEW)
-
-    def _connected(self, client: viser.ClientHandle) -> None:
-        with self._lock:
-            old = self._inspectors.pop(client.client_id, None)
-            if old is not None:
-                old.remove()
-            if client.client_id not in self._server.get_clients():
-                return  # it has left already
-            picture = self._worker.latest if self._worker is not None else None
-            if picture is not None and picture.live.topology == self._looks.topology:
-                self._inspectors[client.client_id] = Inspector(
-                    client, self._looks.topology, self._names
-                )
-
-    def _disconnected(self, client: viser.ClientHandle) -> None:
-        with self._lock:
-            self._inspectors.pop(client.client_id, None)
-            self._cameras.forget(client)
-
-    def _pick_unit(self, client: viser.ClientHandle, unit: int) -> None:
-        with self._lock:
-            if client.client_id in self._inspectors:
-                self._inspectors[client.client_id].pick_unit(unit)
-
-    def _pick_synapse(self, client: viser.ClientHandle, synapse: int) -> None:
-        with self._lock:
-            if client.client_id in self._inspectors:
-                self._inspectors[client.client_id].pick_synapse(synapse)
 
     # Drawing
 
@@ -294,23 +220,14 @@ class Page:
             if picture.live.topology != self._looks.topology:
                 return
             with self._server.atomic():
-                self._part_copies(picture)
-                self._draw_copies(picture)
+                if self._scene.part_copies(picture):
+                    self._visitors.look_again()
+                self._scene.draw(picture)
                 if self._panels is not None:
                     self._panels.draw(picture)
             self._drawn_at.append(time.monotonic())
             if time.monotonic() - self._text_at > TEXT_SECONDS:
                 self._write(picture)
-
-    def _draw_copies(self, picture: Picture) -> None:
-        still = picture.paused and picture.excerpt is None
-        shown = picture.shown
-        beside = None if picture.other is None else picture.other.frame
-        leaps = picture.leaps
-        if self._stage is not None:
-            self._stage.draw(shown, beside=beside, leaps=leaps, still=still)
-        if self._other_stage is not None and beside is not None:
-            self._other_stage.draw(beside, beside=shown, leaps=leaps, still=still)
 
     def _write(self, picture: Picture) -> None:
         """All that is read: a few times a second."""
@@ -324,30 +241,12 @@ class Page:
         warning = words.warning(picture)
         self._warning.visible = warning is not None
         self._warning.content = f"⚠ **{warning}**" if warning else ""
-        drawn = 0 if self._stage is None else self._stage.drawn
-        self._scales.content = words.scales(self._looks, drawn)
+        self._scales.content = words.scales(self._looks, self._scene.drawn)
         self._health.content = words.health(
             self._pictures_per_second(), time.monotonic() - picture.made_at,
             len(self._server.get_clients()),
         )  # fmt: skip
-        self._draw_inspectors(picture)
-        for client in self._server.get_clients().values():
-            self._cameras.settle(client, picture)
-        self._ask_probes()
-
-    def _draw_inspectors(self, picture: Picture) -> None:
-        """Each tab's own; where there are many, some of them in turn."""
-        inspectors = tuple(self._inspectors.values())
-        count = min(len(inspectors), INSPECTORS_AT_ONCE)
-        for k in range(count):
-            inspectors[(self._inspected + k) % len(inspectors)].draw(picture)
-        self._inspected += count
-
-    def _ask_probes(self) -> None:
-        wanted = tuple(sorted({s for i in self._inspectors.values() for s in i.probes}))
-        if wanted != self._probes:
-            self._probes = wanted
-            self._send(Probe(wanted))
+        self._visitors.draw(picture)
 
     def _pictures_per_second(self) -> float:
         if len(self._drawn_at) < 2:
@@ -361,14 +260,3 @@ class Page:
                 client.add_notification(
                     "hebbviz", text, auto_close_seconds=NOTICE_SECONDS, with_close_button=True
                 )
-
-    # Camera
-
-    def _frame_camera(self, picture: Picture) -> None:
-        position, target = camera.view_of(camera.OVERVIEW, picture)
-        self._server.initial_camera.position = position
-        self._server.initial_camera.look_at = target
-
-    def _look_at(self, client: viser.ClientHandle, view: str) -> None:
-        if self._worker is not None and self._worker.latest is not None:
-            self._cameras.turn(client, view, self._worker.latest)

@@ -1,7 +1,8 @@
-"""One copy of a run in the scene: its network, over its world if the task has one to show."""
+"""The scene: a run, or the two copies of a fork side by side; each a network over its world."""
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -106,6 +107,67 @@ class Stage:
             self._network.remove()
             self._build_network(largest)
             self.name(self._title)
+
+
+class Scene:
+    """All that is drawn of a run."""
+
+    def __init__(self, scene: viser.SceneApi, picks: Picks) -> None:
+        self._scene, self._picks = scene, picks
+        self._numbers = itertools.count()
+        self._this: Stage | None = None
+        self._other: Stage | None = None
+
+    def build(self, picture: Picture, looks: Looks) -> None:
+        """Make it for a task, network or theme, in place of what was there."""
+        for stage in (self._this, self._other):
+            if stage is not None:
+                stage.remove()
+        self._other = None
+        self._this = self._new_stage("this", picture, looks)
+
+    def forget(self) -> None:
+        """All was removed from the page."""
+        self._this = self._other = None
+
+    @property
+    def drawn(self) -> int:
+        """How many synapses are drawn."""
+        return 0 if self._this is None else self._this.drawn
+
+    def part_copies(self, picture: Picture) -> bool:
+        """With a fork two copies side by side, each with its name; without one the run alone.
+        Whether that has changed.
+        """
+        stage, other = self._this, picture.other
+        if stage is None or (other is None) == (self._other is None):
+            return False
+        if other is None and self._other is not None:
+            self._other.remove()
+            self._other = None
+        elif other is not None:
+            self._other = self._new_stage("other", picture, stage.looks.twin())
+            self._other.move(half_apart(picture))
+            self._other.name(f"other: {other.words}")
+        stage.move(-half_apart(picture) if other is not None else 0.0)
+        stage.name("this run" if other is not None else "")
+        return True
+
+    def draw(self, picture: Picture) -> None:
+        """Show the frame of each copy."""
+        still = picture.paused and picture.excerpt is None
+        shown, leaps = picture.shown, picture.leaps
+        beside = None if picture.other is None else picture.other.frame
+        if self._this is not None:
+            self._this.draw(shown, beside=beside, leaps=leaps, still=still)
+        if self._other is not None and beside is not None:
+            self._other.draw(beside, beside=shown, leaps=leaps, still=still)
+
+    def _new_stage(self, name: str, picture: Picture, looks: Looks) -> Stage:
+        """One under a number of its own: a tab lets what is made again under a name that it knows
+        stand where the former stood.
+        """
+        return Stage(self._scene, f"/{name} {next(self._numbers)}", picture, looks, self._picks)
 
 
 def half_apart(picture: Picture) -> float:
