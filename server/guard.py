@@ -9,17 +9,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
 import functools
 import logging
-import os
-import socket
 import threading
-import time
 import types
 from collections.abc import Awaitable, Callable, Iterable, Iterator
 from http import HTTPStatus
-from typing import Any, NamedTuple
+from typing import Any
 
 import rich
 import viser
@@ -28,31 +24,17 @@ import websockets.asyncio.server
 from viser import _gui_handles as gui
 from viser.infra import _infra as viser_infra
 from websockets.asyncio.server import ServerConnection
-from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 from websockets.http11 import Request, Response
-from websockets.protocol import SEND_EOF
 
-from server import admission, readers
+from server import admission, listening, readers
+from server.connection import MAX_MESSAGE_BYTES, Admitted, Connection
 from server.crowd import Crowd, tell_shortages
-from server.entrance import Access, Entrance, Passage, Role, headers
-from server.inflow import (
-    ALL_MESSAGES_PER_SECOND,
-    ALL_READS_PER_SECOND,
-    MESSAGES_PER_SECOND,
-    PRESSES_PER_SECOND,
-    READS_PER_SECOND,
-    Allowance,
-    Inflow,
-)
+from server.entrance import Access, Entrance, headers
 from server.message_buffer import MessageBuffer, install
-from server.readers import Reader
 from server.refusal import Refused
 
-MAX_MESSAGE_BYTES = 2**20
 SETTLE_SECONDS = 1.0  # between the refusal of a value and showing the true one, see `Gate._refuse`
-LONG_SECONDS = 0.001  # for taking apart what came at once over a connection
-PORTS_TRIED = 100
 FAREWELL_SECONDS = 0.3  # for connections to be closed politely when the server stops
 
 POLICY = {
@@ -64,8 +46,6 @@ POLICY = {
 }
 """What viser's page loads: it is an inline script that unpacks WebAssembly."""
 
-NO_PASSAGE = Passage(Role.NOBODY)
-"""Of a request that was not let in."""
 
 # Where viser's GUI keeps the things that messages are about.
 REGISTRIES: dict[type, str] = {
@@ -86,14 +66,6 @@ _logger = logging.getLogger("hebbviz.websockets")
 # A client that breaks off or garbles its request is no fault of ours, and worth no traceback.
 _logger.addFilter(lambda record: record.getMessage() != "opening handshake failed")
 _logger.setLevel(logging.INFO)  # in more detail it would tell tokens
-
-
-class CannotListen(OSError):
-    """The address can't be listened on."""
-
-
-class PortTaken(CannotListen):
-    """Another program listens on the port."""
 
 
 def open_server(
@@ -117,7 +89,7 @@ def open_server(
         on_turned_away: Told of requests, once of each kind, with the remedy; by default
             `on_refusal`.
     """
-    listener = _listener(host, port, default_port)
+    listener = listening.listener(host, port, default_port)
     gate = Gate(Entrance(host, access), access.frame_from, on_refusal, on_turned_away)
     called: list[bool] = []
 
@@ -161,7 +133,7 @@ class Gate:
     def serve(self, handler: Handler, *, process_request: RequestHook, **options: Any) -> Any:
         """`websockets.asyncio.server.serve` as viser calls it, with the gate in its hooks."""
 
-        async def checked_request(conn: _Connection, request: Request) -> Response | None:
+        async def checked_request(conn: Connection, request: Request) -> Response | None:
             try:
                 conn.let_in(self.entrance.check(request.path, request.headers.get_all))
             except Refused as refused:
@@ -179,7 +151,7 @@ class Gate:
             except (OSError, ValueError):  # a path that no file can have
                 return conn.respond(HTTPStatus.NOT_FOUND, "there is no such file\n")
 
-        def with_headers(conn: _Connection, _: Request, response: Response) -> None:
+        def with_headers(conn: Connection, _: Request, response: Response) -> None:
             response.headers.update(self._headers)
             if conn.passage.cookie is not None:
                 response.headers["Set-Cookie"] = conn.passage.cookie
@@ -198,7 +170,9 @@ class Gate:
             "process_response": with_headers,
             "server_header": None,
             "max_size": MAX_MESSAGE_BYTES,
-            "create_connection": functools.partial(_Connection, gate=self),
+            "create_connection": functools.partial(
+                Connection, crowd=self.crowd, admit=self.admit, report=self.report
+            ),
             "logger": _logger,
         }
         return websockets.asyncio.server.serve(checked_handler, **options)
@@ -213,7 +187,7 @@ class Gate:
                     self._loop.call_later, FAREWELL_SECONDS, self.crowd.hang_up
                 )
 
-    def admit(self, raw: str | bytes, connection: _Connection) -> Admitted | None:
+    def admit(self, raw: str | bytes, connection: Connection) -> Admitted | None:
         """The message as viser may have it, or None.
 
         It is encoded anew from what was checked, so that viser can't read the same bytes (say,
@@ -258,7 +232,7 @@ class Gate:
             return own[uuid], True
         raise Refused("target", "refused a message from a page: it is about no known widget")
 
-    def _refuse(self, refused: Refused, connection: _Connection) -> None:
+    def _refuse(self, refused: Refused, connection: Connection) -> None:
         """Report now; show the true value a little later, at most once a second per widget.
 
         Later, because a user who types 25 into a box for 10 to 99 passes through 2, and must not
@@ -282,153 +256,6 @@ class Gate:
             widget._queue_update("value", widget.value)
 
 
-class Admitted(NamedTuple):
-    """A message that may pass, and what it is about; see `admission.key`."""
-
-    key: str | None
-    message: bytes
-
-
-class _Connection(ServerConnection):
-    """A client's connection, which hands on only the messages that the gate admits."""
-
-    def __init__(self, *args: Any, gate: Gate, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self.gate = gate
-        self.passage = NO_PASSAGE
-        self.reader: Reader | None = None
-
-    def let_in(self, passage: Passage) -> None:
-        self.passage = passage
-        self.reader = Reader() if passage.role is Role.READER else None
-
-        self._inflow, self._reads = Inflow(), Allowance(READS_PER_SECOND)
-        self._reader: asyncio.Task[None] | None = None
-        self._news = asyncio.Event()
-        self._end: Exception | None = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        super().connection_made(transport)
-        self.gate.crowd.enter(self)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self.gate.crowd.leave(self)
-        super().connection_lost(exc)
-
-    def data_received(self, data: bytes) -> None:
-        """Take apart what came, such as a flood of pings, for a fifth of the time at most."""
-        began = time.perf_counter()
-        super().data_received(data)
-        spent = time.perf_counter() - began
-        if spent > LONG_SECONDS:
-            self.transport.pause_reading()
-            self.loop.call_later(4.0 * spent, self._read_on)
-
-    def _read_on(self) -> None:
-        if not self.recv_messages.paused:  # else it reads on once its messages are taken
-            self.transport.resume_reading()
-
-    def send_data(self) -> None:
-        """Send what is to be sent, in one piece, unless nobody is there any more.
-
-        Each piece that is sent to nobody, such as the answers to a flood of pings, would be a line
-        of asyncio's on the terminal.
-        """
-        pieces = self.protocol.data_to_send()
-        if not self.transport.is_closing():
-            data, is_end = b"".join(pieces), pieces[-1:] == [SEND_EOF]
-            self.protocol.writes = [data] * bool(data) + [SEND_EOF] * is_end
-            super().send_data()
-
-    async def recv(self, decode: bool | None = None) -> Any:
-        """The next message, at the pace of the `Inflow`."""
-        if self._reader is None:
-            self._reader = asyncio.create_task(self._read(decode))
-        while True:
-            self._news.clear()
-            share = self.gate.crowd.share(MESSAGES_PER_SECOND, ALL_MESSAGES_PER_SECOND)
-            found = self._inflow.take(self.loop.time(), share=share)
-            if isinstance(found, bytes):
-                return found
-            if found is None and self._end is not None:
-                raise self._end
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(found):
-                    await self._news.wait()
-
-    async def _read(self, decode: bool | None) -> None:
-        """Take in what comes, until the connection is closed."""
-        try:
-            while True:
-                raw = await super().recv(decode)
-                self._take_in(self.gate.admit(raw, self))
-                await self._rest()
-        except ConnectionClosed as closed:
-            if closed.sent is not None and closed.sent.code == CloseCode.MESSAGE_TOO_BIG:
-                line = f"refused a message from a page: over {MAX_MESSAGE_BYTES} bytes"
-                self.gate.report(Refused("oversized", line))
-            self._end = closed
-        except Exception as error:  # `recv` is to end by it
-            self._end = error
-        finally:
-            self._news.set()
-
-    def _take_in(self, admitted: Admitted | None) -> None:
-        if admitted is None:
-            return
-        if not self._inflow.put(admitted.key, admitted.message):
-            line = f"refused clicks from a page: over {PRESSES_PER_SECOND:.0f} a second"
-            self.gate.report(Refused("presses", line))
-        self._news.set()
-
-    async def _rest(self) -> None:
-        """Read no more than is allowed; the rest waits with whoever sends it."""
-        share = self.gate.crowd.share(READS_PER_SECOND, ALL_READS_PER_SECOND)
-        while wait := self._reads.wait(self.loop.time(), share=share):
-            await asyncio.sleep(wait)
-
-
-def _listener(host: str, port: int | None, default_port: int) -> socket.socket:
-    """A listening socket on `port`, or else on `default_port` or the next free one above it."""
-    for name, number, lowest in (("port", port, 0), ("default_port", default_port, 1)):
-        if number is not None and not lowest <= number <= 65535:
-            raise ValueError(f"{name} must be between 1 and 65535, got {number}")
-    if not host:
-        raise ValueError("host must be a name or an address such as 127.0.0.1, got nothing")
-    if port is not None:
-        return _listen(host, port)
-    last = min(default_port + PORTS_TRIED, 65536) - 1
-    for candidate in range(default_port, last + 1):
-        with contextlib.suppress(PortTaken):
-            return _listen(host, candidate)
-    raise PortTaken(f"can't listen on {host}: ports {default_port} to {last} are taken; name one")
-
-
-def _listen(host: str, port: int) -> socket.socket:
-    """A listening socket on exactly this address; held from here on, so nobody can slip in."""
-    where = f"can't listen on {host}:{port}"
-    try:
-        # A name such as localhost may have both kinds of address; browsers try both: take IPv4.
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        family, _, _, _, address = min(found, key=lambda one: one[0] != socket.AF_INET)
-        with contextlib.ExitStack() as on_error:
-            listener = on_error.enter_context(socket.socket(family, socket.SOCK_STREAM))
-            if os.name == "posix":  # there it only skips the wait after a restart
-                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            if family == socket.AF_INET6:
-                listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-            listener.bind(address)
-            listener.listen(128)
-            on_error.pop_all()
-            return listener
-    except OSError as error:
-        if error.errno == errno.EADDRINUSE:
-            advice = "stop the program that uses it or choose another port"
-            raise PortTaken(f"{where}: the port is taken; {advice}") from error
-        reason = (error.strerror or str(error)).lower()
-        raise CannotListen(f"{where}: {reason}; choose another host or port") from error
-
-
 class GuardedServer(viser.ViserServer):
     """A viser server that stops in silence, and lets in only what passes its gate."""
 
@@ -448,7 +275,7 @@ class GuardedServer(viser.ViserServer):
     def is_reader(self, client: viser.ClientHandle) -> bool:
         """Whether a client came in to look, and changes nothing."""
         connection = self._websock_server._live_connections.get(client.client_id)
-        return isinstance(connection, _Connection) and connection.reader is not None
+        return isinstance(connection, Connection) and connection.reader is not None
 
     def welcome_reader(self, client: viser.ClientHandle) -> None:
         if self.is_reader(client):

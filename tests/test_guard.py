@@ -28,7 +28,8 @@ from websockets.typing import Subprotocol
 
 from server import admission, guard
 from server.entrance import Access, Role
-from server.guard import CannotListen, PortTaken, open_server
+from server.guard import open_server
+from server.listening import CannotListen, PortTaken
 
 
 @dataclass
