@@ -10,6 +10,7 @@ import signal
 import subprocess
 import zipfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -65,6 +66,52 @@ def test_the_ending_is_added_and_nothing_else_is_left(learner, tmp_path):
     assert save(learner, tmp_path / "a") == tmp_path / "a.npz"
     assert save(learner, str(tmp_path / "b.npz")) == tmp_path / "b.npz"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.npz", "b.npz"]
+
+
+GOLDEN = Path(__file__).parent / "golden"
+
+
+def test_a_save_of_format_1_still_loads_and_goes_on(tmp_path):
+    """Golden, of the paper's rule: what it holds, to the bit."""
+    old = load(GOLDEN / "save-1.npz", make_task)
+    assert (old.task.name, old.task.preset_name, old.step) == ("gradient", "learning", 500)
+    assert (old.seed, old.lanes, old.first_lane) == (5, 2, 1)
+    assert (old.beta, old.gamma, old.fall, old.frozen) == (0.75, 0.02, np.inf, False)
+    assert (str(old.rule), old.dtype) == ("paper", np.float64)
+    first = [1.2726210581217912, -1.2101851697010149, -0.8245928170489237, 0.9445800368529658]
+    assert old.weights[:4, 0].tolist() == first
+    assert old.tally().reward == 302.0
+    goes_on_alike(old, tmp_path)
+
+
+def test_a_save_of_format_2_still_loads_and_goes_on(tmp_path):
+    """Golden, of another rule, a γ that falls and float32."""
+    old = load(GOLDEN / "save-2.npz", make_task)
+    assert (old.task.name, old.task.preset_name, old.step) == ("pendulum", "quick", 500)
+    assert (old.topology.describe(), old.seed, old.lanes) == ("8-2-2", 6, 1)
+    assert (old.fall, old.frozen) == (1e4, True)
+    assert (str(old.rule), old.dtype) == ("baseline:time=50", np.float32)
+    first = [0.03850361704826355, -0.03323657810688019, 0.015270865522325039, -0.05671611800789833]
+    assert old.weights[:4, 0].tolist() == first
+    assert old.memory[0, 0] == pytest.approx(-0.03019069, rel=1e-6)
+    assert old.tally().ended == 17.0
+    old.freeze(frozen=False)
+    goes_on_alike(old, tmp_path)
+
+
+def goes_on_alike(learner, tmp_path):
+    """It goes on, and so does what is saved of it now."""
+    again = load(save(learner, tmp_path / "again"), make_task)
+    before = learner.weights
+    for one in (learner, again):
+        one.advance(200)
+    assert same_learner(learner, again)
+    assert not np.array_equal(learner.weights, before)
+
+
+def test_there_is_a_golden_save_of_each_format():
+    wanted = {f"save-{number}.npz" for number in range(1, FORMAT + 1)}
+    assert {file.name for file in GOLDEN.glob("*.npz")} == wanted
 
 
 def attempt(path):
