@@ -188,7 +188,7 @@ class Site:
 
     def _say_end(self) -> None:
         if self._worker is not None:
-            error = self._worker.latest and self._worker.latest.error
+            error = self._worker.latest and self._worker.latest.pacing.error
             _say(f"stopped at step {self._run.learner.step:,}{f', for {error}' if error else ''}")
         status = None if self._recordings is None else self._recordings.status
         if status is not None and status.error is None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hebbviz.task import Task
 from server.look import network_at, place
-from server.picture import Picture
+from server.snapshot import Snapshot
 from server.stage import half_apart
 
 Array = NDArray[np.float64]
@@ -54,16 +54,16 @@ class Cameras:
     def __init__(self) -> None:
         self._told: dict[int, _Told] = {}
 
-    def turn(self, client: viser.ClientHandle, view: str, picture: Picture) -> None:
+    def turn(self, client: viser.ClientHandle, view: str, snapshot: Snapshot) -> None:
         """Turn one tab's camera to a view, from further away where the window is narrow."""
         self._told[client.client_id] = _Told(view, time.monotonic() + SECONDS)
-        look_at(client, view, picture)
+        look_at(client, view, snapshot)
 
     def forget(self, client: viser.ClientHandle) -> None:
         """One that has gone."""
         self._told.pop(client.client_id, None)
 
-    def settle(self, client: viser.ClientHandle, picture: Picture) -> None:
+    def settle(self, client: viser.ClientHandle, snapshot: Snapshot) -> None:
         """Turn it once more if it was turned lately, and does not stand there for want of that."""
         told = self._told.get(client.client_id)
         if told is None:
@@ -71,10 +71,10 @@ class Cameras:
         aspect = aspect_of(client)
         if time.monotonic() > told.until:
             del self._told[client.client_id]
-        elif _stands_at(client, _pose(client, told.view, picture)):
+        elif _stands_at(client, _pose(client, told.view, snapshot)):
             told.aspect = aspect
-        elif told.aspect != aspect or _stands_at(client, view_of(OVERVIEW, picture)):
-            look_at(client, told.view, picture)
+        elif told.aspect != aspect or _stands_at(client, view_of(OVERVIEW, snapshot)):
+            look_at(client, told.view, snapshot)
 
 
 def aspect_of(client: viser.ClientHandle) -> float:
@@ -83,17 +83,19 @@ def aspect_of(client: viser.ClientHandle) -> float:
     return width / height if width and height else WHOLE_ASPECT
 
 
-def look_at(client: viser.ClientHandle, view: str, picture: Picture) -> None:
-    position, target = _pose(client, view, picture)
+def look_at(client: viser.ClientHandle, view: str, snapshot: Snapshot) -> None:
+    position, target = _pose(client, view, snapshot)
     with client.atomic():
         client.camera.position = position
         client.camera.look_at = target
 
 
-def _pose(client: viser.ClientHandle, view: str, picture: Picture) -> tuple[Array, Array]:
+def _pose(client: viser.ClientHandle, view: str, snapshot: Snapshot) -> tuple[Array, Array]:
     """Where one tab's camera is to stand, and what it is to look at."""
-    position, target = (np.array(p) for p in view_of(view, picture))
-    wide = WHOLE_ASPECT if picture.other is None else _wide_enough(client.camera.fov, picture)
+    position, target = (np.array(p) for p in view_of(view, snapshot))
+    wide = (
+        WHOLE_ASPECT if snapshot.view.other is None else _wide_enough(client.camera.fov, snapshot)
+    )
     aspect = aspect_of(client)
     back = float(np.clip(wide / aspect, 1.0, FURTHEST))
     away = back * (position - target)
@@ -114,11 +116,11 @@ def views(task: Task) -> tuple[str, ...]:
     return VIEWS if task.props else (OVERVIEW,)
 
 
-def view_of(view: str, picture: Picture) -> tuple[Array, Array]:
+def view_of(view: str, snapshot: Snapshot) -> tuple[Array, Array]:
     """Camera position and target, for a window that is wide enough."""
-    where = place(picture.live.topology)
-    middle = where.middle + network_at(picture.task) + (0.0, 0.0, -0.1)
-    if view == NETWORK or not picture.task.props:
+    where = place(snapshot.run.live.topology)
+    middle = where.middle + network_at(snapshot.run.task) + (0.0, 0.0, -0.1)
+    if view == NETWORK or not snapshot.run.task.props:
         away = 1.3 + 0.8 * float(np.ptp(where.units, axis=0).max())
         return middle + (0.0, -away, 0.3), middle
     if view == WORLD:
@@ -126,11 +128,11 @@ def view_of(view: str, picture: Picture) -> tuple[Array, Array]:
     return np.array((0.0, -6.3, 3.5)), np.array((0.0, 0.4, 2.2))
 
 
-def _wide_enough(fov: float, picture: Picture) -> float:
+def _wide_enough(fov: float, snapshot: Snapshot) -> float:
     """Width by height of a window in which two copies side by side are whole."""
-    if picture.task.props:
+    if snapshot.run.task.props:
         return 2 * WHOLE_ASPECT
-    x = place(picture.live.topology).units[:, 0]
-    position, target = view_of(OVERVIEW, picture)
-    extent = half_apart(picture) + float(np.ptp(x)) / 2 + LABELS
+    x = place(snapshot.run.live.topology).units[:, 0]
+    position, target = view_of(OVERVIEW, snapshot)
+    extent = half_apart(snapshot) + float(np.ptp(x)) / 2 + LABELS
     return float(extent / (np.linalg.norm(position - target) * np.tan(fov / 2)))

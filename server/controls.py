@@ -32,8 +32,8 @@ from server.commands import (
 )
 from server.making import MOST_SHOWN_LANES
 from server.numbers import about_commas, whole
-from server.picture import Picture
 from server.rule_controls import RuleControls
+from server.snapshot import Snapshot
 from server.tempo import MAX, REALTIME, Speed
 from server.widgets import Widgets, assign
 from sims import TASKS
@@ -94,7 +94,7 @@ class Controls:
         self.speed = gui.add_dropdown("speed", (MAX, REALTIME, *SPEEDS), hint="steps per second")
         self.achieved = gui.add_markdown("")
         self._ui.when(self.task, Choose)
-        self._ui.when(self.preset, lambda v: Choose(self._ui.picture.task_name, v))
+        self._ui.when(self.preset, lambda v: Choose(self._ui.snapshot.run.task_name, v))
         self._ui.when(self.speed, lambda v: SetSpeed(_speed(v)))
         self._ui.when(self.steps, lambda v: StepOnce(int(v.split()[0])))
         self._ui.press(self.pause, lambda: Pause(not self._paused))
@@ -173,7 +173,7 @@ class Controls:
         self._ui.when(self.hidden, self._choose_hidden)
         self._ui.when(self.lanes, self._choose_lanes)
         self._ui.press(
-            self.new_seed, lambda: Reset(seed=(self._ui.picture.seed + 1) % (LARGEST_SEED + 1))
+            self.new_seed, lambda: Reset(seed=(self._ui.snapshot.run.seed + 1) % (LARGEST_SEED + 1))
         )
 
     def _build_keys(self) -> None:
@@ -182,7 +182,7 @@ class Controls:
         self._ui.key("Step once", "N", StepOnce)
         self._ui.key("Reset", "R", Reset)
         self._ui.key("Undo", "U", Undo)
-        self._ui.key("Freeze learning", "F", lambda: Freeze(not _in_force(self._ui.picture)[2]))
+        self._ui.key("Freeze learning", "F", lambda: Freeze(not _in_force(self._ui.snapshot)[2]))
         self._ui.key("Latest reward, slowly", "L", ShowReward)
         self._ui.key("The lane before", "G", lambda: NextLane(-1))
         self._ui.key("The next lane", "H", NextLane)
@@ -197,26 +197,29 @@ class Controls:
 
     # Following the run
 
-    def follow(self, picture: Picture) -> None:
+    def follow(self, snapshot: Snapshot) -> None:
         """Show what holds. Widgets somebody is using are left alone for a moment."""
-        self._follow_task(picture)
-        self._follow_run(picture)
-        self._follow_learning(picture)
-        self._ui.put(self.watch, picture.watching)
-        self._ui.put(self.watch_speed, min(200.0, max(1.0, picture.watch_speed)))
+        self._follow_task(snapshot)
+        self._follow_run(snapshot)
+        self._follow_learning(snapshot)
+        self._ui.put(self.watch, snapshot.view.watching)
+        self._ui.put(self.watch_speed, min(200.0, max(1.0, snapshot.view.watch_speed)))
 
     def say_speed(self, text: str) -> None:
         assign(self.achieved, "content", text)
 
-    def _follow_task(self, picture: Picture) -> None:
-        task = picture.task
-        key = (picture.task_name, task.preset_name)
+    def _follow_task(self, snapshot: Snapshot) -> None:
+        task = snapshot.run.task
+        key = (snapshot.run.task_name, task.preset_name)
         if key == self._shown_task:
             return
         self._shown_task = key
-        names = (*TASKS, *((picture.task_name,) if picture.task_name not in TASKS else ()))
+        names = (
+            *TASKS,
+            *((snapshot.run.task_name,) if snapshot.run.task_name not in TASKS else ()),
+        )
         assign(self.task, "options", names)
-        assign(self.task, "value", picture.task_name)
+        assign(self.task, "value", snapshot.run.task_name)
         assign(self.preset, "options", tuple(task.presets))
         assign(self.preset, "value", task.plain_preset)
         self.preset_note.content = f"{task.summary}. *As it opens: {task.preset.note}.*"
@@ -261,68 +264,74 @@ class Controls:
         if control.key:
             self._task_keys.append(self._ui.key(control.name, control.key.upper(), press))
 
-    def _follow_run(self, picture: Picture) -> None:
-        go_on = "Run" if picture.past is None else "Play"
-        assign(self.pause, "label", go_on if picture.paused else "Pause")
-        if picture.paused != self._paused:
-            self._paused = picture.paused
-            icon = viser.Icon.PLAYER_PLAY if picture.paused else viser.Icon.PLAYER_PAUSE
+    def _follow_run(self, snapshot: Snapshot) -> None:
+        go_on = "Run" if snapshot.view.past is None else "Play"
+        assign(self.pause, "label", go_on if snapshot.pacing.paused else "Pause")
+        if snapshot.pacing.paused != self._paused:
+            self._paused = snapshot.pacing.paused
+            icon = viser.Icon.PLAYER_PLAY if snapshot.pacing.paused else viser.Icon.PLAYER_PAUSE
             self.pause.icon = icon
-        undo = f"Undo: {picture.undo_words}" if picture.undo_words else "Undo"
+        undo = f"Undo: {snapshot.run.undo_words}" if snapshot.run.undo_words else "Undo"
         assign(self.undo, "label", undo)
-        assign(self.undo, "disabled", picture.undo_words is None)
-        self._ui.put(self.seed, str(picture.seed))
-        self._ui.put(self.lanes, picture.lanes)
-        assign(self.lane, "visible", picture.lanes > 1)
-        assign(self.lane, "max", picture.lanes - 1)
-        self._ui.put(self.lane, picture.lane)
-        hidden = _hidden(picture)
+        assign(self.undo, "disabled", snapshot.run.undo_words is None)
+        self._ui.put(self.seed, str(snapshot.run.seed))
+        self._ui.put(self.lanes, snapshot.run.lanes)
+        assign(self.lane, "visible", snapshot.run.lanes > 1)
+        assign(self.lane, "max", snapshot.run.lanes - 1)
+        self._ui.put(self.lane, snapshot.run.lane)
+        hidden = _hidden(snapshot)
         assign(self.hidden, "visible", hidden is not None)
         self._ui.put(self.hidden, ",".join(map(str, hidden or ())) or "none")
-        speed = picture.speed if isinstance(picture.speed, str) else f"{picture.speed:g}"
-        choices = (MAX, *((REALTIME,) if picture.task.dt else ()), *SPEEDS)
+        speed = (
+            snapshot.pacing.speed
+            if isinstance(snapshot.pacing.speed, str)
+            else f"{snapshot.pacing.speed:g}"
+        )
+        choices = (MAX, *((REALTIME,) if snapshot.run.task.dt else ()), *SPEEDS)
         if speed not in choices:
             choices = (*choices, speed)
         assign(self.speed, "options", choices)
         self._ui.put(self.speed, speed)
         self._ui.put(self.typed_speed, speed)
 
-    def _follow_learning(self, picture: Picture) -> None:
+    def _follow_learning(self, snapshot: Snapshot) -> None:
         """β, γ and freezing, in the past those of the step that is shown."""
-        beta, gamma, frozen = _in_force(picture)
+        beta, gamma, frozen = _in_force(snapshot)
         self._ui.put(self.beta, f"{min(beta, GREATEST_BETA):.6g}")
         memory = min(LONGEST, max(SHORTEST, -math.log10(1.0 - beta)))
         self._ui.put(self.memory, round(memory, 2))
-        assign(self.memory_words, "content", f"trace lasts {words.memory(beta, picture.task.dt)}")
+        assign(
+            self.memory_words, "content", f"trace lasts {words.memory(beta, snapshot.run.task.dt)}"
+        )
         self._ui.put(self.gamma, f"{gamma:.4g}")
         log = min(GREATEST_GAMMA, math.log10(max(gamma, 10.0**LEAST_GAMMA)))
         self._ui.put(self.step_size, round(log, 2))
         self._ui.put(self.frozen, frozen)
-        self._rule.follow(picture)
+        self._rule.follow(snapshot)
 
     # What is typed: no command where it is what holds already
 
     def _set_typed_beta(self, text: str) -> Command | None:
         beta = _parsed(float, text, "β must be", 0.0, GREATEST_BETA)
-        return None if beta == _in_force(self._ui.picture)[0] else SetBeta(beta)
+        return None if beta == _in_force(self._ui.snapshot)[0] else SetBeta(beta)
 
     def _set_typed_gamma(self, text: str) -> Command | None:
         gamma = _parsed(float, text, "γ must be", 0.0, LARGEST_GAMMA)
-        return None if gamma == _in_force(self._ui.picture)[1] else SetGamma(gamma)
+        return None if gamma == _in_force(self._ui.snapshot)[1] else SetGamma(gamma)
 
     def _choose_seed(self, text: str) -> Command | None:
         seed = _parsed(whole, text, "seed must be a whole number", 0, LARGEST_SEED)
-        return None if seed == self._ui.picture.seed else Reset(seed=seed)
+        return None if seed == self._ui.snapshot.run.seed else Reset(seed=seed)
 
     def _choose_lanes(self, lanes: int) -> Command | None:
-        return None if lanes == self._ui.picture.lanes else Reset(lanes=lanes)
+        return None if lanes == self._ui.snapshot.run.lanes else Reset(lanes=lanes)
 
     def _choose_hidden(self, text: str) -> Command | None:
         sizes = parse_hidden(text)
-        picture = self._ui.picture
-        if sizes == _hidden(picture):
+        snapshot = self._ui.snapshot
+        if sizes == _hidden(snapshot):
             return None
-        return Choose(picture.task_name, picture.task.preset_name, sizes)
+        return Choose(snapshot.run.task_name, snapshot.run.task.preset_name, sizes)
 
 
 def _parsed(kind: Callable[[str], N], text: str, must_be: str, least: N, most: N) -> N:
@@ -346,19 +355,19 @@ def _speed(text: str) -> Speed:
         return text.strip()
 
 
-def _in_force(picture: Picture) -> tuple[float, float, bool]:
+def _in_force(snapshot: Snapshot) -> tuple[float, float, bool]:
     """β, γ and whether learning is frozen, at the step that is shown of the past, or now."""
-    if picture.past is None:
-        return picture.beta, picture.gamma, picture.frozen
-    shown = picture.shown
+    if snapshot.view.past is None:
+        return snapshot.run.beta, snapshot.run.gamma, snapshot.run.frozen
+    shown = snapshot.view.frame
     return float(shown.beta[0]), shown.step_size, shown.frozen
 
 
-def _hidden(picture: Picture) -> tuple[int, ...] | None:
+def _hidden(snapshot: Snapshot) -> tuple[int, ...] | None:
     """Sizes of the hidden layers; None where sizes are not what makes the network."""
-    network = picture.live.topology
+    network = snapshot.run.live.topology
     sizes = tuple(g.size for g in network.neuron_groups[:-1])
     try:
-        return sizes if picture.task.topology(sizes) == network else None
+        return sizes if snapshot.run.task.topology(sizes) == network else None
     except ValueError:
         return None

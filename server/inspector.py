@@ -10,7 +10,7 @@ from hebbviz.topology import Topology
 from server import palette
 from server.charts import Chart
 from server.look import endpoints
-from server.picture import Picture
+from server.snapshot import Snapshot
 from server.trail import alike
 from server.widgets import assign
 
@@ -64,20 +64,20 @@ class Inspector:
         synapse = self.synapse
         return () if synapse is None else (synapse,)
 
-    def draw(self, picture: Picture) -> None:
+    def draw(self, snapshot: Snapshot) -> None:
         """Show the numbers and the chart; a few times a second is enough."""
-        frame, synapse = picture.shown, self.synapse  # a hand may pick another meanwhile
+        frame, synapse = snapshot.view.frame, self.synapse  # a hand may pick another meanwhile
         self._chart.show(synapse is not None)
         if synapse is None:
             self._text.content = self._neuron_words(frame)
             return
-        frames = alike(picture.shown_trail)
+        frames = alike(snapshot.view.trail)
         since = frames[-1].since if frames else frame.since
         self._text.content = self._synapse_words(frame, since, synapse)
         if len(frames) > 1:
             x = np.array([f.step for f in frames], dtype=np.float64)
             z, low, high, w = np.array([_values(f, synapse) for f in frames]).T
-            marks = [float(c.step) for c in picture.changes]
+            marks = [float(c.step) for c in snapshot.run.changes]
             bands = {"z": ((x, low), (x, high))}
             self._chart.draw({"z": (x, z), "w": (x, w)}, marks, bands=bands)
 

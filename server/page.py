@@ -24,8 +24,8 @@ from server.look import Looks
 from server.palette import THEMES
 from server.panels import Panels, wanted_tabs
 from server.panels.base import TABS, Place
-from server.picture import Picture
 from server.record import Record
+from server.snapshot import Snapshot
 from server.stage import Picks, Scene
 from server.travel import Forking, Rewind
 from server.visitors import Visitors
@@ -74,15 +74,15 @@ class Page:
         self._worker = worker
         number = 0
         while not stop.is_set():
-            picture = worker.wait_for(number, timeout=0.25)
+            snapshot = worker.wait_for(number, timeout=0.25)
             began = time.monotonic()
-            if picture is not None:
-                number, self._visitors.picture = picture.number, picture
-                self._attempt("drawn", self._build if self._built is None else self._draw, picture)
+            if snapshot is not None:
+                number, self._visitors.snapshot = snapshot.number, snapshot
+                self._attempt("drawn", self._build if self._built is None else self._draw, snapshot)
             self._attempt("told its notices", self._say_notices)
             stop.wait(max(0.0, began + self._server.frame_seconds - time.monotonic()))
 
-    def _attempt(self, what: str, draw: Callable[..., None], *given: Picture) -> None:
+    def _attempt(self, what: str, draw: Callable[..., None], *given: Snapshot) -> None:
         """What cannot be drawn, such as a pose that a task of the user's own gets wrong, is said
         once, and the run goes on.
         """
@@ -105,10 +105,10 @@ class Page:
 
     # Building
 
-    def _build(self, picture: Picture) -> None:
+    def _build(self, snapshot: Snapshot) -> None:
         """Make the page; where that fails leave nothing of it, to be tried with another picture."""
         try:
-            self._build_parts(picture)
+            self._build_parts(snapshot)
         except Exception:
             self._built = self._panels = None
             self._scene.forget()
@@ -117,7 +117,7 @@ class Page:
             raise
         self._visitors.begin()
 
-    def _build_parts(self, picture: Picture) -> None:
+    def _build_parts(self, snapshot: Snapshot) -> None:
         server, gui = self._server, self._server.gui
         self._set_theme()
         gui.set_panel_label("hebbviz")
@@ -135,17 +135,17 @@ class Page:
         self._status = gui.add_markdown("")
         self._warning = gui.add_markdown("", visible=False)
         self._key = gui.add_markdown("")
-        self._build_controls(Widgets(gui, self._send, self.notify), picture.seed)
+        self._build_controls(Widgets(gui, self._send, self.notify), snapshot.run.seed)
         self._build_view(gui)
         self._health = gui.add_markdown("")
-        self._tabs = self._make_tabs(picture)
-        self._rebuild(picture)
+        self._tabs = self._make_tabs(snapshot)
+        self._rebuild(snapshot)
 
-    def _make_tabs(self, picture: Picture) -> dict[str, Any]:
+    def _make_tabs(self, snapshot: Snapshot) -> dict[str, Any]:
         """Two panels beside the scene, one below the other, and the tabs that are wanted."""
         upper, lower = self._beside = self._server.gui.add_panel(), self._server.gui.add_panel()
         made = {}
-        for name in wanted_tabs(picture):
+        for name in wanted_tabs(snapshot):
             tab = TABS[name]
             made[name] = (lower if tab.is_below else upper).add_tab(tab.title, tab.icon)
         upper.dock_left()
@@ -154,12 +154,12 @@ class Page:
             panel.set_width(COLUMN)
         return made
 
-    def _remake_tabs(self, picture: Picture) -> None:
+    def _remake_tabs(self, snapshot: Snapshot) -> None:
         """Other tabs, where the task asks for others."""
-        if tuple(self._tabs) != wanted_tabs(picture):
+        if tuple(self._tabs) != wanted_tabs(snapshot):
             for panel in self._beside:
                 panel.remove()
-            self._tabs = self._make_tabs(picture)
+            self._tabs = self._make_tabs(snapshot)
 
     def _build_controls(self, widgets: Widgets, seed: int) -> None:
         controls = self._controls = Controls(widgets, seed)
@@ -182,24 +182,24 @@ class Page:
             with self._lock:
                 self._theme, self._theme_changed = THEMES[theme.value], True
 
-    def _rebuild(self, picture: Picture) -> None:
+    def _rebuild(self, snapshot: Snapshot) -> None:
         """Make scene and panels for a task, network or theme."""
         if self._panels is not None:
             self._panels.remove()
-        self._remake_tabs(picture)
-        task, topology, theme = picture.task, picture.live.topology, self._theme
+        self._remake_tabs(snapshot)
+        task, topology, theme = snapshot.run.task, snapshot.run.live.topology, self._theme
         self._looks = Looks(topology, theme)
-        self._scene.build(picture, self._looks)
-        self._panels = Panels(Place(self._server.gui, self._tabs, picture, theme))
+        self._scene.build(snapshot, self._looks)
+        self._panels = Panels(Place(self._server.gui, self._tabs, snapshot, theme))
         self._key.content = words.key(task)
         assign(self._view, "options", camera.views(task))
         another = self._built is None or self._built[:2] != (task, topology)
-        self._visitors.follow(picture, look_again=another)
-        self._built = self._identity(picture)
+        self._visitors.follow(snapshot, look_again=another)
+        self._built = self._identity(snapshot)
 
-    def _identity(self, picture: Picture) -> tuple[object, ...]:
-        live = picture.live
-        return picture.task, live.topology, self._theme, type(live.rule), picture.lanes
+    def _identity(self, snapshot: Snapshot) -> tuple[object, ...]:
+        live = snapshot.run.live
+        return snapshot.run.task, live.topology, self._theme, type(live.rule), snapshot.run.lanes
 
     def _set_theme(self) -> None:
         self._server.gui.configure_theme(
@@ -210,43 +210,43 @@ class Page:
 
     # Drawing
 
-    def _draw(self, picture: Picture) -> None:
+    def _draw(self, snapshot: Snapshot) -> None:
         with self._lock:
             if self._theme_changed:
                 self._set_theme()
                 self._theme_at = time.monotonic() + THEME_SECONDS
-            if self._identity(picture) != self._built and time.monotonic() > self._theme_at:
-                self._rebuild(picture)
-            if picture.live.topology != self._looks.topology:
+            if self._identity(snapshot) != self._built and time.monotonic() > self._theme_at:
+                self._rebuild(snapshot)
+            if snapshot.run.live.topology != self._looks.topology:
                 return
             with self._server.atomic():
-                if self._scene.part_copies(picture):
+                if self._scene.part_copies(snapshot):
                     self._visitors.look_again()
-                self._scene.draw(picture)
+                self._scene.draw(snapshot)
                 if self._panels is not None:
-                    self._panels.draw(picture)
+                    self._panels.draw(snapshot)
             self._drawn_at.append(time.monotonic())
             if time.monotonic() - self._text_at > TEXT_SECONDS:
-                self._write(picture)
+                self._write(snapshot)
 
-    def _write(self, picture: Picture) -> None:
+    def _write(self, snapshot: Snapshot) -> None:
         """All that is read: a few times a second."""
         self._text_at = time.monotonic()
         for follower in self._followers:
-            follower.follow(picture)
-        pose = picture.task.pose(picture.shown.world)
-        said = (*words.besides(picture), words.shown(picture), pose.words)
+            follower.follow(snapshot)
+        pose = snapshot.run.task.pose(snapshot.view.frame.world)
+        said = (*words.besides(snapshot), words.shown(snapshot), pose.words)
         self._status.content = "\n\n".join(filter(None, said))
-        self._controls.say_speed(words.speed(picture))
-        warning = words.warning(picture)
+        self._controls.say_speed(words.speed(snapshot))
+        warning = words.warning(snapshot)
         self._warning.visible = warning is not None
         self._warning.content = f"⚠ **{warning}**" if warning else ""
         self._scales.content = words.scales(self._looks, self._scene.drawn)
         self._health.content = words.health(
-            self._pictures_per_second(), time.monotonic() - picture.made_at,
+            self._pictures_per_second(), time.monotonic() - snapshot.made_at,
             len(self._server.get_clients()),
         )  # fmt: skip
-        self._visitors.draw(picture)
+        self._visitors.draw(snapshot)
 
     def _pictures_per_second(self) -> float:
         if len(self._drawn_at) < 2:

@@ -11,8 +11,8 @@ import viser
 
 from server import palette, words
 from server.commands import Command, StartRecording, StopRecording
-from server.picture import Picture
 from server.recording.status import Status
+from server.snapshot import Snapshot
 from server.widgets import Widgets, assign
 
 
@@ -28,22 +28,26 @@ class Record:
             self.says = gui.add_markdown("")
         self._ui.press(self.button, self._toggle)
 
-    def follow(self, picture: Picture) -> None:
+    def follow(self, snapshot: Snapshot) -> None:
         """Say what is recorded; offer a name that is free, until one is typed."""
-        on = picture.records
+        on = snapshot.recording.is_on
         if on != (self.button.label != "Record"):
             self.button.label = "Stop recording" if on else "Record"
             self.button.icon = viser.Icon.PLAYER_STOP if on else viser.Icon.PLAYER_RECORD
             self.button.color = "red" if on else None
         assign(self.name, "disabled", on)
-        offered_for = (picture.task_name, on)
+        offered_for = (snapshot.run.task_name, on)
         if offered_for != self._offered_for and not on:
-            assign(self.name, "value", free_name(Path(picture.folder), picture.task_name))
+            assign(
+                self.name,
+                "value",
+                free_name(Path(snapshot.recording.folder), snapshot.run.task_name),
+            )
         self._offered_for = offered_for
-        assign(self.says, "content", said(picture))
+        assign(self.says, "content", said(snapshot))
 
     def _toggle(self) -> Command:
-        if self._ui.picture.records:
+        if self._ui.snapshot.recording.is_on:
             return StopRecording()
         return StartRecording(self.name.value.strip())
 
@@ -55,15 +59,17 @@ def free_name(folder: Path, task: str) -> str:
     return next((name for name in names if not (folder / name).exists()), f"{stem}.rrd")
 
 
-def said(picture: Picture) -> str:
+def said(snapshot: Snapshot) -> str:
     """Where the recording is, how much it holds, and how to see it live."""
     lines = []
-    if picture.recording is not None:
-        lines.append(_status(picture.recording, on=picture.records))
+    if snapshot.recording.status is not None:
+        lines.append(_status(snapshot.recording.status, on=snapshot.recording.is_on))
     else:
-        lines.append(f"into the folder {_code(picture.folder)}")
-    if picture.stream_url is not None:
-        lines.append(f"see it live in rerun's viewer: {_code(f'rerun {picture.stream_url}')}")
+        lines.append(f"into the folder {_code(snapshot.recording.folder)}")
+    if snapshot.recording.stream_url is not None:
+        lines.append(
+            f"see it live in rerun's viewer: {_code(f'rerun {snapshot.recording.stream_url}')}"
+        )
     return "\n\n".join(lines)
 
 

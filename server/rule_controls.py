@@ -12,7 +12,7 @@ from hebbviz.moments import Frame
 from hebbviz.rules import Rule, rule_class, rule_names
 from server.changes import SetFall, SetRule
 from server.numbers import about_commas
-from server.picture import Picture
+from server.snapshot import Snapshot
 from server.widgets import Widgets, assign
 
 NEVER = "never"
@@ -40,11 +40,11 @@ class RuleControls:
         widgets.when(self.rule, SetRule)
         widgets.when(self.fall, self._typed_fall)
 
-    def follow(self, picture: Picture) -> None:
+    def follow(self, snapshot: Snapshot) -> None:
         """Show what holds; in the past, what held at the step that is shown."""
-        frame = picture.live if picture.past is None else picture.shown
+        frame = snapshot.run.live if snapshot.view.past is None else snapshot.view.frame
         rule = frame.rule
-        fits = tuple(n for n in rule_names() if rule_class(n).fits(picture.lanes))
+        fits = tuple(n for n in rule_names() if rule_class(n).fits(snapshot.run.lanes))
         assign(self.rule, "options", fits)
         self._ui.put(self.rule, rule.name)
         if type(rule) is not type(self._rule):

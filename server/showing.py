@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 from hebbviz.moments import Block, Frame
 from server.fork import Fork
-from server.picture import Other, Past
 from server.player import Player
 from server.run import Run
+from server.snapshot import Other, Past, View
 from server.tape import Moment
 from server.tempo import Tempo
 from server.trail import Seen, Trail
@@ -62,11 +62,23 @@ class Showing:
         self.watch.note(moment, block)
         self.live_trail.note(block)
 
-    def play(self, live: Frame, seconds: float, tempo: Tempo) -> tuple[Frame, Trail]:
-        """What is shown after so much more time, and what came before it."""
+    def view(self, live: Frame, seconds: float, tempo: Tempo) -> View:
+        """What is shown after so much more time."""
         self.live_trail.add(live)
         shown, trail = self._play(live, seconds, tempo)
-        return self.seen.see(shown), trail
+        frame = self.seen.see(shown)
+        return View(
+            frame=frame,
+            leaps=self.seen.leaps,
+            recent=trail.recent,
+            trail=trail.frames,
+            live_trail=self.live_trail.frames,
+            excerpt=self.watch.excerpt(),
+            watching=self.watch.on,
+            watch_speed=self.watch.speed,
+            past=self._past(),
+            other=self._other(),
+        )
 
     def _play(self, live: Frame, seconds: float, tempo: Tempo) -> tuple[Frame, Trail]:
         """The past; or the excerpt's frame while one plays and the run is too fast to be seen;
@@ -89,13 +101,13 @@ class Showing:
             return self.player.play(seconds, rate), self.player.trail
         return live, self.live_trail
 
-    def past(self) -> Past | None:
+    def _past(self) -> Past | None:
         player = self.player
         return (
             None if player is None else Past(player.cursor, player.loop, player.check, player.why)
         )
 
-    def other(self) -> Other | None:
+    def _other(self) -> Other | None:
         fork = self.fork
         if fork is None:
             return None

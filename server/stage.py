@@ -20,8 +20,8 @@ from server.look import (
     unit_names,
 )
 from server.network_scene import NetworkScene
-from server.picture import Picture
 from server.pulse import Pulse
+from server.snapshot import Snapshot
 from server.world_scene import WorldScene
 
 RESELECT_SECONDS = 3.0
@@ -45,14 +45,14 @@ class Stage:
     """Draws one copy's frames under the scene's `root`, in the middle until it is moved."""
 
     def __init__(
-        self, scene: viser.SceneApi, root: str, picture: Picture, looks: Looks, picks: Picks
+        self, scene: viser.SceneApi, root: str, snapshot: Snapshot, looks: Looks, picks: Picks
     ) -> None:
         self._scene, self._root, self.looks, self._picks = scene, root, looks, picks
-        self._task, self._aside, self._title = picture.task, 0.0, ""
-        self._names = unit_names(looks.topology, tuple(i.name for i in picture.task.inputs))
+        self._task, self._aside, self._title = snapshot.run.task, 0.0, ""
+        self._names = unit_names(looks.topology, tuple(i.name for i in snapshot.run.task.inputs))
         self._pulse = Pulse(looks.topology.synapses)
-        self._build_network(largest_synapses(picture.live.weight))
-        self._world = WorldScene(scene, picture.task, looks.theme, root=f"{root}/world")
+        self._build_network(largest_synapses(snapshot.run.live.weight))
+        self._world = WorldScene(scene, snapshot.run.task, looks.theme, root=f"{root}/world")
 
     def remove(self) -> None:
         self._scene.remove_by_name(self._root)
@@ -118,13 +118,13 @@ class Scene:
         self._this: Stage | None = None
         self._other: Stage | None = None
 
-    def build(self, picture: Picture, looks: Looks) -> None:
+    def build(self, snapshot: Snapshot, looks: Looks) -> None:
         """Make it for a task, network or theme, in place of what was there."""
         for stage in (self._this, self._other):
             if stage is not None:
                 stage.remove()
         self._other = None
-        self._this = self._new_stage("this", picture, looks)
+        self._this = self._new_stage("this", snapshot, looks)
 
     def forget(self) -> None:
         """All was removed from the page."""
@@ -135,43 +135,43 @@ class Scene:
         """How many synapses are drawn."""
         return 0 if self._this is None else self._this.drawn
 
-    def part_copies(self, picture: Picture) -> bool:
+    def part_copies(self, snapshot: Snapshot) -> bool:
         """With a fork two copies side by side, each with its name; without one the run alone.
         Whether that has changed.
         """
-        stage, other = self._this, picture.other
+        stage, other = self._this, snapshot.view.other
         if stage is None or (other is None) == (self._other is None):
             return False
         if other is None and self._other is not None:
             self._other.remove()
             self._other = None
         elif other is not None:
-            self._other = self._new_stage("other", picture, stage.looks.twin())
-            self._other.move(half_apart(picture))
+            self._other = self._new_stage("other", snapshot, stage.looks.twin())
+            self._other.move(half_apart(snapshot))
             self._other.name(f"other: {other.words}")
-        stage.move(-half_apart(picture) if other is not None else 0.0)
+        stage.move(-half_apart(snapshot) if other is not None else 0.0)
         stage.name("this run" if other is not None else "")
         return True
 
-    def draw(self, picture: Picture) -> None:
+    def draw(self, snapshot: Snapshot) -> None:
         """Show the frame of each copy."""
-        still = picture.paused and picture.excerpt is None
-        shown, leaps = picture.shown, picture.leaps
-        beside = None if picture.other is None else picture.other.frame
+        still = snapshot.pacing.paused and snapshot.view.excerpt is None
+        shown, leaps = snapshot.view.frame, snapshot.view.leaps
+        beside = None if snapshot.view.other is None else snapshot.view.other.frame
         if self._this is not None:
             self._this.draw(shown, beside=beside, leaps=leaps, still=still)
         if self._other is not None and beside is not None:
             self._other.draw(beside, beside=shown, leaps=leaps, still=still)
 
-    def _new_stage(self, name: str, picture: Picture, looks: Looks) -> Stage:
+    def _new_stage(self, name: str, snapshot: Snapshot, looks: Looks) -> Stage:
         """One under a number of its own: a tab lets what is made again under a name that it knows
         stand where the former stood.
         """
-        return Stage(self._scene, f"/{name} {next(self._numbers)}", picture, looks, self._picks)
+        return Stage(self._scene, f"/{name} {next(self._numbers)}", snapshot, looks, self._picks)
 
 
-def half_apart(picture: Picture) -> float:
+def half_apart(snapshot: Snapshot) -> float:
     """How far each of two copies stands from the middle."""
-    if picture.task.props:
+    if snapshot.run.task.props:
         return BETWEEN_WORLDS
-    return BETWEEN_NETWORKS + float(np.ptp(place(picture.live.topology).units[:, 0])) / 2
+    return BETWEEN_NETWORKS + float(np.ptp(place(snapshot.run.live.topology).units[:, 0])) / 2

@@ -17,9 +17,9 @@ from server.commands import (
     TakeOver,
 )
 from server.fork import BETA, GAMMA, KINDS
-from server.picture import Picture
 from server.player import Check
 from server.showing import Event
+from server.snapshot import Snapshot
 from server.widgets import Widgets, assign
 
 EVENTS = {
@@ -77,21 +77,21 @@ class Rewind:
         self._ui.press(self.take_over, TakeOver)
         self._ui.press(self.back, self._back)
 
-    def follow(self, picture: Picture) -> None:
+    def follow(self, snapshot: Snapshot) -> None:
         """Show where what is seen stands in the run."""
-        past = picture.past
-        at = picture.live.step if past is None else past.cursor
-        assign(self.slider, "min", picture.first)
-        assign(self.slider, "max", max(picture.live.step, picture.first + 1))
+        past = snapshot.view.past
+        at = snapshot.run.live.step if past is None else past.cursor
+        assign(self.slider, "min", snapshot.run.first)
+        assign(self.slider, "max", max(snapshot.run.live.step, snapshot.run.first + 1))
         self._ui.put(self.slider, at, quiet=DRAGGED_SECONDS)
         for handle in self._past:
             assign(handle, "visible", past is not None)
-        assign(self.time, "visible", past is not None and picture.task.dt is not None)
+        assign(self.time, "visible", past is not None and snapshot.run.task.dt is not None)
         if past is None:
             return
         self._ui.put(self.step, at)
-        if picture.task.dt is not None:
-            self._ui.put(self.time, round(at * picture.task.dt, 6))
+        if snapshot.run.task.dt is not None:
+            self._ui.put(self.time, round(at * snapshot.run.task.dt, 6))
         self._ui.put(self.loop, past.loop)
         from_file = past.check is not Check.OWN
         assign(self.back, "label", "Go on from its end" if from_file else "Back to now")
@@ -100,21 +100,21 @@ class Rewind:
 
     def _seek(self, step: int) -> Seek:
         """Show a step, the nearest there is."""
-        picture = self._ui.picture
-        return Seek(min(max(int(step), picture.first), picture.live.step))
+        snapshot = self._ui.snapshot
+        return Seek(min(max(int(step), snapshot.run.first), snapshot.run.live.step))
 
     def _seek_time(self, seconds: float) -> Seek:
-        picture = self._ui.picture
-        last = picture.live.step
-        return self._seek(round(min(seconds / (picture.task.dt or 1.0), last)))
+        snapshot = self._ui.snapshot
+        last = snapshot.run.live.step
+        return self._seek(round(min(seconds / (snapshot.run.task.dt or 1.0), last)))
 
     def _jump(self, event: Event) -> SeekEvent:
-        if self._ui.picture.past is None and event is not Event.CHANGE_BEFORE:
+        if self._ui.snapshot.view.past is None and event is not Event.CHANGE_BEFORE:
             raise ValueError(f"this is now: {event.value} is not made yet; rewind first")
         return SeekEvent(event)
 
     def _back(self) -> Command | None:
-        return None if self._ui.picture.past is None else BackToNow()
+        return None if self._ui.snapshot.view.past is None else BackToNow()
 
 
 class Forking:
@@ -140,9 +140,9 @@ class Forking:
         self._ui.press(self.keep, EndFork)
         self._ui.press(self.keep_other, lambda: EndFork(keep_other=True))
 
-    def follow(self, picture: Picture) -> None:
+    def follow(self, snapshot: Snapshot) -> None:
         """Offer to fork, or to keep one of the two copies."""
-        other, kind = picture.other, self.kind.value
+        other, kind = snapshot.view.other, self.kind.value
         for handle in (self.kind, self.fork):
             assign(handle, "visible", other is None)
         for shown in (self.says, self.keep, self.keep_other):
@@ -150,7 +150,7 @@ class Forking:
         assign(self.value, "visible", other is None and kind in (BETA, GAMMA))
         if kind != self._offered:
             self._offered = kind
-            offer = f"{picture.gamma / 10:.3g}" if kind == GAMMA else "0.9"
+            offer = f"{snapshot.run.gamma / 10:.3g}" if kind == GAMMA else "0.9"
             assign(self.value, "value", offer)
         if other is not None:
             said = f"other: **{other.words}**, since step {words.count(other.start)}."

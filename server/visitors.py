@@ -11,7 +11,7 @@ from server.commands import Probe, ShowBeginning
 from server.guard import GuardedServer
 from server.inspector import Inspector
 from server.look import unit_names
-from server.picture import Picture
+from server.snapshot import Snapshot
 from server.widgets import Send
 
 INSPECTORS_AT_ONCE = 8
@@ -23,8 +23,8 @@ class Visitors:
 
     def __init__(self, server: GuardedServer, lock: threading.RLock, send: Send) -> None:
         self._server, self._lock, self._send = server, lock, send
-        self.picture: Picture | None = None
-        self._built: Picture | None = None
+        self.snapshot: Snapshot | None = None
+        self._built: Snapshot | None = None
         self._inspectors: dict[int, Inspector] = {}
         self._inspected = 0
         self._cameras = camera.Cameras()
@@ -35,10 +35,10 @@ class Visitors:
         self._server.on_client_connect(self._welcome)
         self._server.on_client_disconnect(self._disconnected)
 
-    def follow(self, picture: Picture, *, look_again: bool) -> None:
+    def follow(self, snapshot: Snapshot, *, look_again: bool) -> None:
         """The page was built again, for a picture; the cameras go back if they are to."""
-        self._built = picture
-        position, target = camera.view_of(camera.OVERVIEW, picture)
+        self._built = snapshot
+        position, target = camera.view_of(camera.OVERVIEW, snapshot)
         self._server.initial_camera.position = position
         self._server.initial_camera.look_at = target
         for client in self._server.get_clients().values():
@@ -53,18 +53,18 @@ class Visitors:
 
     def look_at(self, client: viser.ClientHandle, view: str) -> None:
         """Turn a tab's camera."""
-        if self.picture is not None:
-            self._cameras.turn(client, view, self.picture)
+        if self.snapshot is not None:
+            self._cameras.turn(client, view, self.snapshot)
 
-    def draw(self, picture: Picture) -> None:
+    def draw(self, snapshot: Snapshot) -> None:
         """Renew the inspectors, let the cameras come to rest, and ask for what is inspected."""
         inspectors = tuple(self._inspectors.values())
         count = min(len(inspectors), INSPECTORS_AT_ONCE)
         for k in range(count):
-            inspectors[(self._inspected + k) % len(inspectors)].draw(picture)
+            inspectors[(self._inspected + k) % len(inspectors)].draw(snapshot)
         self._inspected += count
         for client in self._server.get_clients().values():
-            self._cameras.settle(client, picture)
+            self._cameras.settle(client, snapshot)
         self._ask_probes()
 
     def pick_unit(self, client: viser.ClientHandle, unit: int) -> None:
@@ -101,11 +101,14 @@ class Visitors:
                 old.remove()
             if client.client_id not in self._server.get_clients():
                 return  # it has left already
-            picture, built = self.picture, self._built
-            if picture is None or built is None or picture.live.topology != built.live.topology:
+            if self.snapshot is None or self._built is None:
                 return
-            names = unit_names(built.live.topology, tuple(i.name for i in built.task.inputs))
-            inspector = Inspector(client, built.live.topology, names)
+            built = self._built.run
+            topology = built.live.topology
+            if self.snapshot.run.live.topology != topology:
+                return  # the page is about to be built again
+            names = unit_names(topology, tuple(i.name for i in built.task.inputs))
+            inspector = Inspector(client, topology, names)
             self._inspectors[client.client_id] = inspector
 
     def _disconnected(self, client: viser.ClientHandle) -> None:

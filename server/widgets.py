@@ -14,7 +14,7 @@ import viser
 from viser._messages import GuiUpdateMessage
 
 from server.commands import Command
-from server.picture import Picture
+from server.snapshot import Snapshot
 
 QUIET_SECONDS = 2.5
 """A widget that was just moved by hand is not set back to the run's value before this."""
@@ -31,20 +31,20 @@ class Widgets:
         self._touched: dict[str, float] = {}
         self._put_before: dict[str, Any] = {}
         self._holds: dict[str, Any] = {}
-        self._picture: Picture | None = None
+        self._snapshot: Snapshot | None = None
 
     @property
-    def picture(self) -> Picture:
+    def snapshot(self) -> Snapshot:
         """What holds; raises ValueError before anything does."""
-        if self._picture is None:
+        if self._snapshot is None:
             raise ValueError("the run is only starting: try again in a moment")
-        return self._picture
+        return self._snapshot
 
-    def follow(self, picture: Picture) -> None:
+    def follow(self, snapshot: Snapshot) -> None:
         """Take note of what holds, before any widget is set to it."""
-        if self._picture is not None and self._picture.run_number != picture.run_number:
+        if self._snapshot is not None and self._snapshot.run.number != snapshot.run.number:
             self._touched.clear()  # after an undo or a reset, what was typed before is past
-        self._picture = picture
+        self._snapshot = snapshot
 
     def when(self, handle: Any, command: Callable[[Any], Command | None]) -> None:
         """Send what `command` makes of a widget's new value, when a page changed it.

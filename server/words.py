@@ -13,10 +13,10 @@ from hebbviz.task import Measure, Score, Tally, Task
 from server import events, palette
 from server.history import Curve
 from server.look import Looks
-from server.picture import Other, Past, Picture
 from server.player import Check
 from server.recording.status import Status
 from server.recording.thinning import words as size_of
+from server.snapshot import Other, Past, Snapshot
 from server.spread import middle_of
 from server.stuck import ENOUGH_STEPS, Sign, sign
 from server.trail import moved
@@ -98,80 +98,82 @@ def amount(value: float, measure: Measure) -> str:
     return duration(value) if measure.unit == "s" else f"{value:.3g} {measure.unit}".strip()
 
 
-def shown(picture: Picture) -> str:
+def shown(snapshot: Snapshot) -> str:
     """Which steps are seen, how many in one picture, and what the neurons' light means."""
-    lengths = [f.since.steps for f in moved(picture.shown_trail)]
-    each = max(lengths[-1 if picture.paused else -3 :], default=1)
+    lengths = [f.since.steps for f in moved(snapshot.view.trail)]
+    each = max(lengths[-1 if snapshot.pacing.paused else -3 :], default=1)
     light = "spikes" if each <= 3 else "firing rate"
     scale = f"one picture = {steps(each)}, light = {light}"
-    excerpt = picture.excerpt
-    if picture.past is not None:
-        return f"{_past(picture, picture.past)}{scale}"
+    excerpt = snapshot.view.excerpt
+    if snapshot.view.past is not None:
+        return f"{_past(snapshot, snapshot.view.past)}{scale}"
     if excerpt is None:
-        state = "paused at" if picture.paused else "live,"
-        return f"**{state} step {count(picture.shown.step)}** · {scale}"
+        state = "paused at" if snapshot.pacing.paused else "live,"
+        return f"**{state} step {count(snapshot.view.frame.step)}** · {scale}"
     kind = "latest reward, slow motion" if excerpt.is_reward else "excerpt"
     return (
         f"**{kind}: step {count(excerpt.now)}** of {count(excerpt.first)}–{count(excerpt.last)} "
-        f"(run: {count(picture.live.step)}) · {scale}"
+        f"(run: {count(snapshot.run.live.step)}) · {scale}"
     )
 
 
-def _past(picture: Picture, past: Past) -> str:
+def _past(snapshot: Snapshot, past: Past) -> str:
     """Where in the run the step is that is shown of the past, and what is known of it."""
-    dt = picture.task.dt
+    run, dt = snapshot.run, snapshot.run.task.dt
     time = f" · {clock(past.cursor * dt)}" if dt else ""
-    state = "paused" if picture.paused else "playing"
+    state = "paused" if snapshot.pacing.paused else "playing"
     if past.check is Check.OWN:
         kind = "the run is paused meanwhile"
     else:
         kind = f"a recording, played back · *{past.check.value}*"
     return (
-        f"**past: step {count(past.cursor)}** of {count(picture.first)}–{count(picture.live.step)}"
+        f"**past: step {count(past.cursor)}** of {count(run.first)}–{count(run.live.step)}"
         f"{time}  \n{state} · {kind}  \n"
     )
 
 
-def warning(picture: Picture) -> str | None:
+def warning(snapshot: Snapshot) -> str | None:
     """What must not be overlooked, None if all is well."""
-    if picture.preparing is not None:
-        return f"{picture.preparing}."
-    if picture.error is not None:
-        return picture.error
-    if picture.past is None:
-        why = stuck(picture.live_trail)
-        if picture.lanes == 1:
+    if snapshot.pacing.preparing is not None:
+        return f"{snapshot.pacing.preparing}."
+    if snapshot.pacing.error is not None:
+        return snapshot.pacing.error
+    if snapshot.view.past is None:
+        why = stuck(snapshot.view.live_trail)
+        if snapshot.run.lanes == 1:
             return why
-        told = (stuck_lanes(picture), f"Lane {picture.lane}: {why}" if why else None)
+        told = (stuck_lanes(snapshot), f"Lane {snapshot.run.lane}: {why}" if why else None)
         return "  \n".join(filter(None, told)) or None
-    past = picture.past
+    past = snapshot.view.past
     return f"{past.check.value} ({past.why})." if past.check is Check.DIFFERS else None
 
 
-def besides(picture: Picture) -> list[str]:
+def besides(snapshot: Snapshot) -> list[str]:
     """What goes on besides what is shown: other lanes, the other copy of a fork, a recording."""
     lines = []
-    if picture.lanes > 1:
-        lines.append(f"**{picture.lanes} lanes** side by side, **lane {picture.lane}** watched")
-    if picture.other is not None:
-        other = picture.other
+    if snapshot.run.lanes > 1:
+        lines.append(
+            f"**{snapshot.run.lanes} lanes** side by side, **lane {snapshot.run.lane}** watched"
+        )
+    if snapshot.view.other is not None:
+        other = snapshot.view.other
         lines.append(
             f"**two copies** since step {count(other.start)}: left this run, right the other, "
             f"**{other.words}**"
         )
-    if picture.records and picture.recording is not None:
+    if snapshot.recording.is_on and snapshot.recording.status is not None:
         lines.append(f"{_dot(palette.PUNISHMENT)} recording")
     return lines
 
 
-def compared(picture: Picture, other: Other) -> str:
+def compared(snapshot: Snapshot, other: Other) -> str:
     """How the two copies of a fork did, over all whole windows since it began."""
-    curves = picture.curve, other.curve
+    curves = snapshot.run.curve, other.curve
     whole = [c.end - c.steps >= other.start for c in curves]
     if not all(w.any() for w in whole):
-        return f"The copies are compared after {steps(picture.curve.window)}."
+        return f"The copies are compared after {steps(snapshot.run.curve.window)}."
     said = [
-        score(picture.task.score(_total(c, w)), picture.task.measure)
+        score(snapshot.run.task.score(_total(c, w)), snapshot.run.task.measure)
         for c, w in zip(curves, whole, strict=True)
     ]
     first = min((c.end - c.steps)[w][0] for c, w in zip(curves, whole, strict=True))
@@ -198,15 +200,15 @@ def time_of(task: Task, step: int) -> str:
     return f" · {duration(step * task.dt)} simulated" if task.dt else ""
 
 
-def stuck_lanes(picture: Picture) -> str | None:
+def stuck_lanes(snapshot: Snapshot) -> str | None:
     """How many of the lanes are stuck, and which."""
-    found = picture.stuck
+    found = snapshot.findings.stuck
     if not found:
         return None
     named = ", ".join(map(str, found[:MOST_NAMED])) + ", …" * (len(found) > MOST_NAMED)
     is_one = len(found) == 1
     return (
-        f"{len(found)} of {picture.lanes} lanes {'is' if is_one else 'are'} stuck: "
+        f"{len(found)} of {snapshot.run.lanes} lanes {'is' if is_one else 'are'} stuck: "
         f"lane{'s' * (not is_one)} {named}."
     )
 
@@ -255,17 +257,20 @@ def health(pictures_per_second: float, age: float, tabs: int) -> str:
     )
 
 
-def speed(picture: Picture) -> str:
+def speed(snapshot: Snapshot) -> str:
     """What is asked for and what is reached; in the past, how fast it is played."""
-    if picture.past is not None:
-        asked = picture.speed if isinstance(picture.speed, str) else f"{picture.speed:g} steps/s"
+    if snapshot.view.past is not None:
+        speed = snapshot.pacing.speed
+        asked = speed if isinstance(speed, str) else f"{speed:g} steps/s"
         return f"the past is played at `{asked}`"
-    reached = f"`{short(picture.steps_per_second)} steps/s`"
-    lanes, of_all = picture.lanes, short(picture.steps_per_second * picture.lanes)
+    reached = f"`{short(snapshot.pacing.steps_per_second)} steps/s`"
+    lanes, of_all = snapshot.run.lanes, short(snapshot.pacing.steps_per_second * snapshot.run.lanes)
     all_lanes = f"; × {lanes} lanes = `{of_all} lane-steps/s`" if lanes > 1 else ""
-    dt = picture.task.dt
-    times = f" = {short(picture.steps_per_second * dt)} × real time" if dt else ""
-    return f"reached: {reached}{times}{time_of(picture.task, picture.live.step)}{all_lanes}"
+    dt = snapshot.run.task.dt
+    times = f" = {short(snapshot.pacing.steps_per_second * dt)} × real time" if dt else ""
+    return (
+        f"reached: {reached}{times}{time_of(snapshot.run.task, snapshot.run.live.step)}{all_lanes}"
+    )
 
 
 def key(task: Task) -> str:

@@ -11,14 +11,15 @@ import time
 import traceback
 
 from hebbviz.learner import TaskError
+from hebbviz.moments import Frame
 from server.changes import settled
 from server.commands import Command, carry_out
 from server.history import Totals
 from server.inbox import Inbox
 from server.inflow import TimeShare
-from server.picture import Picture
 from server.preparing import prepare
 from server.session import Session
+from server.snapshot import Findings, Pacing, RecordingState, RunState, Snapshot
 
 PICTURES_PER_SECOND = 32.0
 """A little over 30, so that 30 that differ reach the page."""
@@ -35,7 +36,7 @@ class Worker(threading.Thread):
         self._session = session
         self._inbox = Inbox(lambda command: prepare(command, session.run))
         self._fresh = threading.Condition()
-        self._picture: Picture | None = None
+        self._snapshot: Snapshot | None = None
         self._stopping = threading.Event()
         self._for_commands = TimeShare(COMMANDS_SHARE, COMMANDS_SECONDS)
 
@@ -48,32 +49,32 @@ class Worker(threading.Thread):
         self._inbox.wake()
 
     @property
-    def latest(self) -> Picture | None:
-        return self._picture
+    def latest(self) -> Snapshot | None:
+        return self._snapshot
 
-    def wait_for(self, number: int, timeout: float) -> Picture | None:
+    def wait_for(self, number: int, timeout: float) -> Snapshot | None:
         """The latest picture once its number is above `number`, or None after the timeout."""
         with self._fresh:
             self._fresh.wait_for(lambda: self._newer(number), timeout)
-            return self._picture if self._newer(number) else None
+            return self._snapshot if self._newer(number) else None
 
     def _newer(self, number: int) -> bool:
-        return self._picture is not None and self._picture.number > number
+        return self._snapshot is not None and self._snapshot.number > number
 
     def run(self) -> None:
-        before = next_picture = time.monotonic()
+        before = next_snapshot = time.monotonic()
         while not self._stopping.is_set():
             now = time.monotonic()
             try:
-                self._obey(wait=0.0 if self._is_due() else max(0.0, next_picture - now))
+                self._obey(wait=0.0 if self._is_due() else max(0.0, next_snapshot - now))
                 now = time.monotonic()
                 if self._inbox.preparation is None:
                     self._session.go_on(now - before)
                 before = now
-                if time.monotonic() >= next_picture:
+                if time.monotonic() >= next_snapshot:
                     self._publish()
-                    next_picture = max(next_picture, time.monotonic() - 0.1)
-                    next_picture += 1.0 / PICTURES_PER_SECOND
+                    next_snapshot = max(next_snapshot, time.monotonic() - 0.1)
+                    next_snapshot += 1.0 / PICTURES_PER_SECOND
             except Exception as error:  # the page must say what stopped the run
                 said = f"{type(error).__name__}: {error}"
                 if said != self._session.error:
@@ -109,59 +110,75 @@ class Worker(threading.Thread):
             self._session.notice(str(error))
 
     def _publish(self) -> None:
-        number = 1 if self._picture is None else self._picture.number + 1
-        picture = self._take_picture(number, 1.0 / PICTURES_PER_SECOND)
+        number = 1 if self._snapshot is None else self._snapshot.number + 1
+        snapshot = self._take_snapshot(number, 1.0 / PICTURES_PER_SECOND)
         with self._fresh:
-            self._picture = picture
+            self._snapshot = snapshot
             self._fresh.notify_all()
 
-    def _take_picture(self, number: int, seconds: float) -> Picture:
-        """All that may be shown now, so long after the picture before."""
+    def _take_snapshot(self, number: int, seconds: float) -> Snapshot:
+        """All that may be shown now, so long after the snapshot before."""
         session, preparation = self._session, self._inbox.preparation
-        run, tempo, showing = session.run, session.tempo, session.showing
-        learner, live = run.learner, run.frame()
+        live = session.run.frame()
         session.find_out(live)
-        shown, trail = showing.play(live, seconds, tempo)
-        curves = run.history.curves(Totals.of(learner))
-        return Picture(
+        return Snapshot(
             number=number,
             made_at=time.monotonic(),
-            task=learner.task,
-            task_name=run.task_name,
-            seed=learner.seed,
-            lane=learner.watch,
-            beta=learner.beta,
-            gamma=learner.gamma,
-            frozen=learner.frozen,
-            live=live,
-            shown=shown,
-            leaps=showing.seen.leaps,
-            recent=trail.recent,
-            shown_trail=trail.frames,
-            live_trail=showing.live_trail.frames,
-            excerpt=showing.watch.excerpt(),
-            curve=curves.lane(learner.watch),
-            curves=curves,
-            ghost=run.ghost,
-            stuck=session.stuck.lanes,
-            changes=tuple(settled(run.log[-1000:])[-200:]),
-            paused=tempo.paused if showing.player is None else not showing.player.playing,
-            speed=tempo.speed,
-            steps_per_second=tempo.measured(time.monotonic()),
-            watching=showing.watch.on,
-            watch_speed=showing.watch.speed,
-            undo_words=run.undo_words,
-            evaluations=session.evaluator.results(),
-            evaluating=session.evaluator.progress,
-            estimate=session.estimating.estimate,
-            run_number=session.run_number,
-            error=session.error,
-            preparing=None if preparation is None else preparation.words(),
-            first=run.tape.first,
-            past=showing.past(),
-            other=showing.other(),
-            recording=session.recordings.status,
-            records=session.recordings.is_on,
-            folder=str(session.recordings.folder),
-            stream_url=session.recordings.stream_url,
+            run=_run_state(session, live),
+            view=session.showing.view(live, seconds, session.tempo),
+            pacing=_pacing(session, None if preparation is None else preparation.words()),
+            findings=_findings(session),
+            recording=_recording(session),
         )
+
+
+def _run_state(session: Session, live: Frame) -> RunState:
+    run, learner = session.run, session.run.learner
+    curves = run.history.curves(Totals.of(learner))
+    return RunState(
+        number=session.run_number,
+        task=learner.task,
+        task_name=run.task_name,
+        seed=learner.seed,
+        lane=learner.watch,
+        beta=learner.beta,
+        gamma=learner.gamma,
+        frozen=learner.frozen,
+        live=live,
+        curve=curves.lane(learner.watch),
+        curves=curves,
+        ghost=run.ghost,
+        changes=tuple(settled(run.log[-1000:])[-200:]),
+        undo_words=run.undo_words,
+        first=run.tape.first,
+    )
+
+
+def _pacing(session: Session, preparing: str | None) -> Pacing:
+    tempo, player = session.tempo, session.showing.player
+    return Pacing(
+        paused=tempo.paused if player is None else not player.playing,
+        speed=tempo.speed,
+        steps_per_second=tempo.measured(time.monotonic()),
+        error=session.error,
+        preparing=preparing,
+    )
+
+
+def _findings(session: Session) -> Findings:
+    return Findings(
+        evaluations=session.evaluator.results(),
+        evaluating=session.evaluator.progress,
+        estimate=session.estimating.estimate,
+        stuck=session.stuck.lanes,
+    )
+
+
+def _recording(session: Session) -> RecordingState:
+    recordings = session.recordings
+    return RecordingState(
+        status=recordings.status,
+        is_on=recordings.is_on,
+        folder=str(recordings.folder),
+        stream_url=recordings.stream_url,
+    )

@@ -29,9 +29,9 @@ from hebbviz.learner import Learner  # noqa: E402
 from server.app import Site  # noqa: E402
 from server.changes import Press, SetBeta  # noqa: E402
 from server.commands import Choose, Command, Pause, Reset  # noqa: E402
-from server.picture import Picture  # noqa: E402
 from server.recording.recordings import Options  # noqa: E402
 from server.recording.viewer import Viewer  # noqa: E402
+from server.snapshot import Snapshot  # noqa: E402
 from server.train import Recorded, train  # noqa: E402
 from server.worker import Worker  # noqa: E402
 from sims import TASKS  # noqa: E402
@@ -84,22 +84,22 @@ def shown(task: str, lanes: int = 1) -> Iterator[tuple[Page, Worker]]:
         yield page, worker
 
 
-def picture(worker: Worker) -> Picture:
+def snapshot(worker: Worker) -> Snapshot:
     latest = worker.latest
     assert latest is not None
     return latest
 
 
-def is_clear(latest: Picture) -> bool:
+def is_clear(latest: Snapshot) -> bool:
     """The pole leans a little, all is well within the arena, and both kinds of neuron are seen."""
-    x, y, *_ = latest.shown.world
-    fired = latest.shown.fired
+    x, y, *_ = latest.view.frame.world
+    fired = latest.view.frame.fired
     return abs(x) < 0.6 and abs(y) < 0.6 and 0 < fired.sum() < len(fired)
 
 
 def wait_for_a_clear_moment(worker: Worker, seconds: float = 15.0) -> None:
     end = time.monotonic() + seconds
-    while time.monotonic() < end and not is_clear(picture(worker)):
+    while time.monotonic() < end and not is_clear(snapshot(worker)):
         time.sleep(0.02)
 
 
@@ -136,7 +136,7 @@ def make_lanes_picture() -> None:
     """Many lanes of sonar, one of them watched: the mean of them all and the band around it."""
     with shown("sonar", LANES) as (page, worker):
         tidy(page)
-        while picture(worker).live.step < LANES_STEPS:  # the page must go on meanwhile
+        while snapshot(worker).live.step < LANES_STEPS:  # the page must go on meanwhile
             page.wait_for_timeout(200)
         page.wait_for_timeout(1000 * DRAWN_SECONDS)
         shoot(page, DOCS / "lanes.png")
@@ -147,9 +147,9 @@ def make_gradient_picture() -> None:
     """The exact gradient beside the rule's estimate, at β 0 first and then at β 0.8."""
     with shown("gradient") as (page, worker):
         worker.send(Reset())
-        wait_until(lambda: picture(worker).live.step < GRADIENT_PLAN[1][0], 20.0)
+        wait_until(lambda: snapshot(worker).live.step < GRADIENT_PLAN[1][0], 20.0)
         for steps, command in GRADIENT_PLAN:
-            wait_until(lambda steps=steps: picture(worker).live.step >= steps, 180.0)
+            wait_until(lambda steps=steps: snapshot(worker).live.step >= steps, 180.0)
             worker.send(command)
         tidy(page)
         page.wait_for_timeout(1000 * DRAWN_SECONDS)
@@ -198,7 +198,7 @@ def make_all(folder: Path) -> None:
                 for task in TASKS:
                     for command in (Choose(task), *something_to_see(task), Pause(paused=False)):
                         worker.send(command)
-                    wait_until(lambda task=task: picture(worker).task_name == task, 20.0)
+                    wait_until(lambda task=task: snapshot(worker).task_name == task, 20.0)
                     page.wait_for_timeout(8000)
                     for theme in ("light", "dark"):
                         set_theme(page, theme)

@@ -40,7 +40,7 @@ from server.app import Site
 from server.changes import Freeze, SetBeta
 from server.commands import Choose, Pause, Reset, SetSpeed, SetWatch, StepOnce
 from server.look import network_at, place
-from server.picture import Picture
+from server.snapshot import Snapshot
 from server.worker import Worker
 from sims.loading import make_task
 
@@ -67,10 +67,10 @@ class Live:
     stop: Callable[[], None]
 
     @property
-    def picture(self) -> Picture:
-        picture = self.worker.latest
-        assert picture is not None
-        return picture
+    def snapshot(self) -> Snapshot:
+        snapshot = self.worker.latest
+        assert snapshot is not None
+        return snapshot
 
 
 @pytest.fixture(scope="module")
@@ -109,13 +109,15 @@ def tab(browser: Browser, live: Live, errors: list[str]) -> Iterator[Page]:
 @pytest.fixture
 def page(tab: Page, live: Live) -> Page:
     """The tab, with the pendulum running slowly from the beginning."""
-    run = live.picture.run_number
+    run = live.snapshot.run.number
     send(live, Choose("pendulum", "quick"), Reset(seed=0), SetSpeed(SPEED), SetWatch(on=False))
     send(live, Pause(paused=False))
-    wait_until(lambda: live.picture.run_number >= run + 2 and not live.picture.paused, 20.0)
+    wait_until(
+        lambda: live.snapshot.run.number >= run + 2 and not live.snapshot.pacing.paused, 20.0
+    )
     # a list that still waits to be told what holds would take back what a test chooses, and what
     # is typed before the page knows of the new run is forgotten
-    wait_until(lambda: followed(live) == live.picture.run_number, 20.0)
+    wait_until(lambda: followed(live) == live.snapshot.run.number, 20.0)
     expect(field(tab, "task")).to_have_value("pendulum")
     expect(field(tab, "β")).to_have_value("0.98")
     expect(field(tab, "speed")).to_have_value("100")
@@ -127,7 +129,7 @@ def followed(live: Live) -> int:
     """Number of the run that the page's widgets show."""
     page = live.site._page
     assert page is not None
-    return page._controls._ui.picture.run_number
+    return page._controls._ui.snapshot.run.number
 
 
 def send(live: Live, *commands: Any) -> None:
@@ -154,9 +156,9 @@ def step_shown(page: Page) -> int:
 def pause(page: Page, live: Live) -> int:
     """Pause without the page; at which step."""
     send(live, Pause(paused=True))
-    eventually(page, lambda: live.picture.paused)
+    eventually(page, lambda: live.snapshot.pacing.paused)
     page.get_by_role("button", name="Run", exact=True).wait_for()
-    step = live.picture.live.step
+    step = live.snapshot.run.live.step
     eventually(page, lambda: step_shown(page) == step)
     return step
 
@@ -183,8 +185,8 @@ def test_the_page_opens_and_runs(page: Page) -> None:
 
 def test_pause_stops_the_counter_and_a_step_is_one_step(page: Page, live: Live) -> None:
     press(page, "Pause")
-    eventually(page, lambda: live.picture.paused)
-    step = live.picture.live.step
+    eventually(page, lambda: live.snapshot.pacing.paused)
+    step = live.snapshot.run.live.step
     eventually(page, lambda: step_shown(page) == step)
     press(page, "1 step")
     eventually(page, lambda: step_shown(page) == step + 1)
@@ -192,15 +194,15 @@ def test_pause_stops_the_counter_and_a_step_is_one_step(page: Page, live: Live) 
     eventually(page, lambda: step_shown(page) == step + 2)
     press(page, "10")
     eventually(page, lambda: step_shown(page) == step + 12)
-    assert live.picture.live.step == step + 12
+    assert live.snapshot.run.live.step == step + 12
     page.locator("body").press(" ")
-    eventually(page, lambda: not live.picture.paused and step_shown(page) > step + 20)
+    eventually(page, lambda: not live.snapshot.pacing.paused and step_shown(page) > step + 20)
     page.locator("body").press(" ")
-    eventually(page, lambda: live.picture.paused)
-    step = live.picture.live.step
+    eventually(page, lambda: live.snapshot.pacing.paused)
+    step = live.snapshot.run.live.step
     eventually(page, lambda: step_shown(page) == step)
     page.wait_for_timeout(300)
-    assert step_shown(page) == live.picture.live.step == step
+    assert step_shown(page) == live.snapshot.run.live.step == step
 
 
 def test_a_reset_begins_again_with_the_set_beta(page: Page, live: Live) -> None:
@@ -208,19 +210,19 @@ def test_a_reset_begins_again_with_the_set_beta(page: Page, live: Live) -> None:
     pause(page, live)
     page.keyboard.press("r")
     eventually(page, lambda: step_shown(page) == 0)
-    assert live.picture.live.step == 0
-    assert live.picture.beta == 0.9
-    assert live.picture.seed == 0
+    assert live.snapshot.run.live.step == 0
+    assert live.snapshot.run.beta == 0.9
+    assert live.snapshot.run.seed == 0
     send(live, SetBeta(0.98))
 
 
 def test_a_new_seed_begins_another_run(page: Page, live: Live) -> None:
     pause(page, live)
-    run = live.picture.run_number
+    run = live.snapshot.run.number
     press(page, "New seed")
-    eventually(page, lambda: live.picture.run_number > run)
-    assert live.picture.seed == 1
-    assert live.picture.live.step == 0
+    eventually(page, lambda: live.snapshot.run.number > run)
+    assert live.snapshot.run.seed == 1
+    assert live.snapshot.run.live.step == 0
     expect(field(page, "seed")).to_have_value("1")
 
 
@@ -229,11 +231,11 @@ def test_a_new_seed_begins_another_run(page: Page, live: Live) -> None:
 
 def test_beta_typed_reaches_the_worker_and_the_plots(page: Page, live: Live) -> None:
     enter(page, "β", "0.995")
-    eventually(page, lambda: live.picture.beta == 0.995)
+    eventually(page, lambda: live.snapshot.run.beta == 0.995)
     eventually(page, lambda: "1/(1−β) = 200 steps = 4 s" in text_of(page))
     eventually(page, lambda: marks(page) > 0)
     expect(row(page, "β by memory").get_by_role("slider")).to_have_attribute("aria-valuenow", "2.3")
-    assert live.picture.live.step > 0  # nothing began again
+    assert live.snapshot.run.live.step > 0  # nothing began again
 
 
 @pytest.mark.slow
@@ -241,16 +243,16 @@ def test_beta_typed_key_by_key_ends_at_what_was_typed(page: Page, live: Live) ->
     field(page, "β").select_text()
     field(page, "β").press_sequentially("0.9973", delay=40)
     field(page, "β").press("Enter")
-    eventually(page, lambda: live.picture.beta == 0.9973)
+    eventually(page, lambda: live.snapshot.run.beta == 0.9973)
     page.wait_for_timeout(1500)  # nothing that is late may take it back
-    assert live.picture.beta == 0.9973
+    assert live.snapshot.run.beta == 0.9973
     expect(field(page, "β")).to_have_value("0.9973")
 
 
 def test_the_memory_slider_is_moved_by_keys(page: Page, live: Live) -> None:
     expect(row(page, "β by memory").get_by_role("slider")).to_have_attribute("aria-valuenow", "1.7")
     slide(page, "β by memory", "ArrowRight", times=3)  # by 0.01 each
-    eventually(page, lambda: math.isclose(live.picture.beta, 1 - 10**-1.73, abs_tol=2e-6))
+    eventually(page, lambda: math.isclose(live.snapshot.run.beta, 1 - 10**-1.73, abs_tol=2e-6))
     eventually(page, lambda: marks(page) > 0)
     eventually(page, lambda: "1/(1−β) = 53.7 steps" in text_of(page))
 
@@ -267,7 +269,7 @@ def test_an_arrow_key_on_a_slider_does_not_turn_the_camera(page: Page, live: Liv
     page.keyboard.down("ArrowRight")
     page.wait_for_timeout(1000)
     page.keyboard.up("ArrowRight")
-    eventually(page, lambda: live.picture.beta > 0.98)
+    eventually(page, lambda: live.snapshot.run.beta > 0.98)
     page.wait_for_timeout(500)
     assert azimuth() == pytest.approx(before, abs=1.0)
     row(page, "β by memory").get_by_role("slider").blur()
@@ -277,7 +279,7 @@ def test_buttons_stay_where_they_are_whatever_the_status_says(page: Page, live: 
     reset = page.get_by_role("button", name="Reset", exact=True)
     eventually(page, lambda: "live, step" in text_of(page))
     place = reset.bounding_box()
-    eventually(page, lambda: live.picture.live.tally.ended > 0)
+    eventually(page, lambda: live.snapshot.run.live.tally.ended > 0)
     pause(page, live)
     assert reset.bounding_box() == place
     page.keyboard.press("l")
@@ -291,46 +293,46 @@ def test_the_memory_slider_is_dragged(
 ) -> None:
     monkeypatch.setattr(session, "SAME_GESTURE_SECONDS", 30.0)  # the machine may be busy
     drag(page, "β by memory", 0.6, 0.75)
-    eventually(page, lambda: 0.9975 < live.picture.beta < 0.9995)  # 10³ steps, at 3 of 0..4
+    eventually(page, lambda: 0.9975 < live.snapshot.run.beta < 0.9995)  # 10³ steps, at 3 of 0..4
     press(page, "Undo: β")  # a drag is one change
-    eventually(page, lambda: live.picture.beta == 0.98)
+    eventually(page, lambda: live.snapshot.run.beta == 0.98)
 
 
 def test_gamma_is_typed_and_dragged(page: Page, live: Live) -> None:
     enter(page, "γ", "1e-3")
-    eventually(page, lambda: live.picture.gamma == 1e-3)
+    eventually(page, lambda: live.snapshot.run.gamma == 1e-3)
     expect(row(page, "γ, step size").get_by_role("slider")).to_have_attribute("aria-valuenow", "-3")
     slide(page, "γ, step size", "ArrowLeft")  # by 0.05
-    eventually(page, lambda: live.picture.gamma == 8.91e-4)
+    eventually(page, lambda: live.snapshot.run.gamma == 8.91e-4)
     slide(page, "γ, step size", "ArrowLeft")
-    eventually(page, lambda: live.picture.gamma == 7.94e-4)
+    eventually(page, lambda: live.snapshot.run.gamma == 7.94e-4)
     expect(field(page, "γ")).to_have_value("0.000794")
     eventually(page, lambda: marks(page) > 0)
 
 
 def test_freezing_remembers_gamma(page: Page, live: Live) -> None:
     row(page, "freeze learning").get_by_role("checkbox").check()
-    eventually(page, lambda: live.picture.frozen)
-    assert live.picture.gamma == 0.01
-    step, weight = live.picture.live.step, live.picture.live.weight.copy()
-    eventually(page, lambda: live.picture.live.step > step + 100)
-    assert np.array_equal(live.picture.live.weight, weight)
+    eventually(page, lambda: live.snapshot.run.frozen)
+    assert live.snapshot.run.gamma == 0.01
+    step, weight = live.snapshot.run.live.step, live.snapshot.run.live.weight.copy()
+    eventually(page, lambda: live.snapshot.run.live.step > step + 100)
+    assert np.array_equal(live.snapshot.run.live.weight, weight)
     expect(field(page, "γ")).to_have_value("0.01")
     row(page, "freeze learning").get_by_role("checkbox").uncheck()
-    eventually(page, lambda: not live.picture.frozen)
-    assert live.picture.gamma == 0.01
+    eventually(page, lambda: not live.snapshot.run.frozen)
+    assert live.snapshot.run.gamma == 0.01
 
 
 def test_undo_returns_beta_and_the_step_before(page: Page, live: Live) -> None:
     step = pause(page, live)
     enter(page, "β", "0.5")
-    eventually(page, lambda: live.picture.beta == 0.5)
+    eventually(page, lambda: live.snapshot.run.beta == 0.5)
     press(page, "100")
     eventually(page, lambda: step_shown(page) == step + 100)
     press(page, "Undo: β 0.5")
     eventually(page, lambda: step_shown(page) == step)
-    assert live.picture.beta == 0.98
-    assert live.picture.live.step == step
+    assert live.snapshot.run.beta == 0.98
+    assert live.snapshot.run.live.step == step
     expect(field(page, "β")).to_have_value("0.98")
     page.get_by_text(re.compile("undone: β 0.5, back at step")).first.wait_for()
 
@@ -338,14 +340,14 @@ def test_undo_returns_beta_and_the_step_before(page: Page, live: Live) -> None:
 def test_a_refused_value_shows_a_notice_and_changes_nothing(page: Page, live: Live) -> None:
     enter(page, "β", "2")
     page.get_by_text("β must be from 0 to 0.999999, got '2'").first.wait_for()
-    assert live.picture.beta == 0.98
+    assert live.snapshot.run.beta == 0.98
     expect(field(page, "β")).to_have_value("0.98")
     field(page, "hidden").scroll_into_view_if_needed()
-    run = live.picture.run_number
+    run = live.snapshot.run.number
     enter(page, "hidden", "8,x")
     page.get_by_text(re.compile(r"hidden.*8,x")).first.wait_for()
-    assert live.picture.run_number == run
-    assert live.picture.live.topology.describe() == "8-4-2"
+    assert live.snapshot.run.number == run
+    assert live.snapshot.run.live.topology.describe() == "8-4-2"
 
 
 # The worlds
@@ -353,31 +355,31 @@ def test_a_refused_value_shows_a_notice_and_changes_nothing(page: Page, live: Li
 
 def test_one_synapse_by_hand(page: Page, live: Live) -> None:
     choose(page, "task", "synapse")
-    eventually(page, lambda: live.picture.task_name == "synapse")
+    eventually(page, lambda: live.snapshot.run.task_name == "synapse")
     pause(page, live)
-    weight = live.picture.live.weight[0]
+    weight = live.snapshot.run.live.weight[0]
     for button in ("Presynaptic spike", "Postsynaptic spike"):
-        step, changes = live.picture.live.step, len(live.picture.changes)
+        step, changes = live.snapshot.run.live.step, len(live.snapshot.run.changes)
         press(page, button)
-        eventually(page, lambda changes=changes: len(live.picture.changes) > changes)
+        eventually(page, lambda changes=changes: len(live.snapshot.run.changes) > changes)
         press(page, "1 step")
-        eventually(page, lambda step=step: live.picture.live.step == step + 1)
-    assert live.picture.live.fired[1]
-    trace = live.picture.live.trace[0]
+        eventually(page, lambda step=step: live.snapshot.run.live.step == step + 1)
+    assert live.snapshot.run.live.fired[1]
+    trace = live.snapshot.run.live.trace[0]
     assert trace > 0
-    assert live.picture.live.weight[0] == weight
+    assert live.snapshot.run.live.weight[0] == weight
     press(page, "+ reward")
-    eventually(page, lambda: "reward" in str(live.picture.undo_words))
+    eventually(page, lambda: "reward" in str(live.snapshot.run.undo_words))
     press(page, "1 step")
-    eventually(page, lambda: live.picture.live.weight[0] > weight)
+    eventually(page, lambda: live.snapshot.run.live.weight[0] > weight)
 
 
 def test_sonar_shows_the_class_and_the_prediction(page: Page, live: Live) -> None:
     choose(page, "task", "sonar")
-    eventually(page, lambda: live.picture.task_name == "sonar")
+    eventually(page, lambda: live.snapshot.run.task_name == "sonar")
     eventually(page, lambda: re.search(r"(rock|mine)", text_of(page), re.IGNORECASE))
     eventually(page, lambda: re.search(r"(predict|says|taken)", text_of(page), re.IGNORECASE))
-    assert live.picture.live.topology.describe() == "60-8-1"
+    assert live.snapshot.run.live.topology.describe() == "60-8-1"
     assert "tilt" not in text_of(page)
 
 
@@ -393,7 +395,7 @@ def test_a_small_task_tells_what_is_asked_and_answered(
     page: Page, live: Live, task: str, words: str
 ) -> None:
     choose(page, "task", task)
-    eventually(page, lambda: live.picture.task_name == task)
+    eventually(page, lambda: live.snapshot.run.task_name == task)
     eventually(page, lambda: re.search(words, text_of(page)))
 
 
@@ -456,8 +458,8 @@ def test_each_tab_follows_its_own_pick(
         choose(other, "pick", "hidden → output")
         choose(other, "to", "output 2")
         other.get_by_text("hidden 1 → output 2").wait_for()
-        weight = live.picture.live.weight
-        names = live.picture.live.topology
+        weight = live.snapshot.run.live.weight
+        names = live.snapshot.run.live.topology
         assert f"{weight[4]:+.5f}" in text_of(page)  # from tilt x, the fifth input, to hidden 1
         assert f"{weight[names.synapses_of(1).start + 4]:+.5f}" in text_of(other)
         assert "hidden 1 → output 2" not in text_of(page)
@@ -471,7 +473,7 @@ def test_each_tab_follows_its_own_pick(
 
 def test_a_click_on_a_neuron_picks_it(page: Page, live: Live) -> None:
     pause(page, live)
-    unit = live.picture.live.topology.first_unit("hidden") + 2
+    unit = live.snapshot.run.live.topology.first_unit("hidden") + 2
     x, y = on_screen(page, live, unit)
 
     def click() -> None:
@@ -487,7 +489,7 @@ def on_screen(page: Page, live: Live, unit: int) -> tuple[float, float]:
     (client,) = live.site._server.get_clients().values()
     camera, canvas = client.camera, page.locator("canvas").first.bounding_box()
     assert canvas is not None
-    where = place(live.picture.live.topology).units[unit] + network_at(live.picture.task)
+    where = place(live.snapshot.run.live.topology).units[unit] + network_at(live.snapshot.run.task)
     right, down, ahead = SO3(camera.wxyz).inverse() @ (where - camera.position)
     scale = canvas["height"] / 2 / math.tan(camera.fov / 2) / ahead
     return (
@@ -519,21 +521,21 @@ def test_many_lanes_have_a_band_that_grows_while_one_is_watched(page: Page, live
     expect(row(page, "lane")).to_have_count(0)
     assert band(page) == []
     enter(page, "lanes", "64")
-    eventually(page, lambda: live.picture.lanes == 64)
-    run = live.picture.run_number
+    eventually(page, lambda: live.snapshot.run.lanes == 64)
+    run = live.snapshot.run.number
     eventually(page, lambda: "64 lanes side by side, lane 0 watched" in text_of(page))
     eventually(page, lambda: len(band(page)) > 2)
     seen = band(page)
     eventually(page, lambda: len(band(page)) > len(seen) + 2)
     assert max(band(page)) > 1.0, "in %, of 64 lanes that differ"
     enter(page, "lane", "5")
-    eventually(page, lambda: live.picture.lane == 5)
+    eventually(page, lambda: live.snapshot.run.lane == 5)
     field(page, "lane").blur()  # keys that are typed into a field are no commands
     page.keyboard.press("h")
-    eventually(page, lambda: live.picture.lane == 6)
+    eventually(page, lambda: live.snapshot.run.lane == 6)
     eventually(page, lambda: "64 lanes side by side, lane 6 watched" in text_of(page))
     expect(field(page, "lane")).to_have_value("6")
-    assert live.picture.run_number == run, "the run goes on as it is"
+    assert live.snapshot.run.number == run, "the run goes on as it is"
     assert "64 lanes = " in text_of(page)
 
 
@@ -568,7 +570,7 @@ def test_a_command_acts_at_once(live: Live) -> None:
             time.sleep(0.05)
             began = time.monotonic()
             client.send_value(memory, value)
-            wait_until(lambda value=value: live.picture.beta == round(1 - 10**-value, 6))
+            wait_until(lambda value=value: live.snapshot.run.beta == round(1 - 10**-value, 6))
             delays.append(time.monotonic() - began)
     send(live, SetBeta(0.98), SetSpeed(SPEED), Pause(paused=True))  # and leave the machine alone
     assert statistics.median(delays) < 1.0
@@ -577,24 +579,27 @@ def test_a_command_acts_at_once(live: Live) -> None:
 @pytest.mark.slow
 def test_the_rule_is_chosen_and_its_baseline_shown(page: Page, live: Live) -> None:
     choose(page, "rule", "baseline")
-    eventually(page, lambda: live.picture.live.rule == Baseline())
+    eventually(page, lambda: live.snapshot.run.live.rule == Baseline())
     page.get_by_text("the reward baseline").first.wait_for()
     typed = field(page, "time (steps)")
     typed.fill("250")
     typed.press("Enter")
-    eventually(page, lambda: live.picture.live.rule == Baseline(time=250.0))
+    eventually(page, lambda: live.snapshot.run.live.rule == Baseline(time=250.0))
     typed = field(page, "γ falls over")
     typed.fill("2e4")
     typed.press("Enter")
-    eventually(page, lambda: live.picture.live.fall == 2e4)
+    eventually(page, lambda: live.snapshot.run.live.fall == 2e4)
     page.get_by_text(re.compile("γ in force")).first.wait_for()
     page.get_by_role("tab", name="Reward, rates").click()
     page.get_by_text("what rule baseline keeps").first.wait_for()
     for _ in range(3):
-        before = live.picture.run_number
+        before = live.snapshot.run.number
         press(page, "Undo")
-        eventually(page, lambda n=before: live.picture.run_number > n)
-    eventually(page, lambda: (live.picture.live.rule, live.picture.live.fall) == (PAPER, math.inf))
+        eventually(page, lambda n=before: live.snapshot.run.number > n)
+    eventually(
+        page,
+        lambda: (live.snapshot.run.live.rule, live.snapshot.run.live.fall) == (PAPER, math.inf),
+    )
     page.get_by_text("what rule baseline keeps").first.wait_for(state="detached")
     page.get_by_role("tab", name="Learning").click()
 

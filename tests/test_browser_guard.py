@@ -135,7 +135,7 @@ def test_no_task_s_page_wants_more_than_the_policy_gives(browser: Browser) -> No
         for task in TASKS:
             worker.send(Choose(task))
             worker.send(SetSpeed(50.0))
-            wait_until(lambda task=task: worker.latest.task_name == task, 60.0)
+            wait_until(lambda task=task: worker.latest.run.task_name == task, 60.0)
             with tab_at(browser, site.address, width=1100, height=640, listen=listen) as page:
                 for name in ("Reward, rates", "Synapses", "Spikes now"):
                     page.get_by_role("tab", name=name).click()

@@ -18,7 +18,7 @@ from server import camera
 from server.app import Site
 from server.commands import Choose, Pause, Reset
 from server.look import NETWORK_ALONE, NETWORK_OVER_WORLD
-from server.picture import Picture
+from server.snapshot import Snapshot
 from server.worker import Worker
 from sims.loading import make_task
 
@@ -57,7 +57,7 @@ def site() -> Iterator[Site]:
     thread.join(10.0)
 
 
-def latest(site: Site) -> Picture:
+def latest(site: Site) -> Snapshot:
     assert site._worker is not None and site._worker.latest is not None
     return site._worker.latest
 

@@ -33,12 +33,12 @@ from hebbviz.learner import Learner
 from server.app import Site
 from server.changes import SetBeta, SetGamma
 from server.commands import BackToNow, EndFork, Pause, Reset, SetSpeed, SetWatch, StepOnce
-from server.picture import Picture
 from server.recording.reader import open_recording
 from server.recording.recorder import Recorder
 from server.recording.recordings import Options
 from server.recording.targets import FileTarget
 from server.run import Run
+from server.snapshot import Snapshot
 from server.worker import Worker
 from sims.loading import make_task
 
@@ -63,10 +63,10 @@ class Live:
     worker: Worker
 
     @property
-    def picture(self) -> Picture:
-        picture = self.worker.latest
-        assert picture is not None
-        return picture
+    def snapshot(self) -> Snapshot:
+        snapshot = self.worker.latest
+        assert snapshot is not None
+        return snapshot
 
     def send(self, *commands: Any) -> None:
         for command in commands:
@@ -113,15 +113,17 @@ def tab(browser: Browser, live: Live) -> Iterator[Page]:
 @pytest.fixture
 def page(tab: Page, live: Live) -> Page:
     """The tab, with a run at rest that is STEPS long and has one change of β."""
-    if live.picture.other is not None:
+    if live.snapshot.view.other is not None:
         live.send(EndFork())
     live.send(BackToNow(), Pause(paused=True), SetWatch(on=False), SetSpeed(50.0), SetBeta(0.98))
     live.send(SetGamma(0.01), Reset(seed=0), StepOnce(CHANGED_AT))
-    wait_until(lambda: live.picture.live.step == CHANGED_AT, 20.0)
+    wait_until(lambda: live.snapshot.run.live.step == CHANGED_AT, 20.0)
     live.send(SetBeta(0.9), StepOnce(STEPS - CHANGED_AT))
-    wait_until(lambda: live.picture.live.step == STEPS and live.picture.past is None, 20.0)
+    wait_until(
+        lambda: live.snapshot.run.live.step == STEPS and live.snapshot.view.past is None, 20.0
+    )
     controls = live.site._page._controls  # type: ignore[union-attr]
-    wait_until(lambda: controls._ui.picture.run_number == live.picture.run_number, 20.0)
+    wait_until(lambda: controls._ui.snapshot.run.number == live.snapshot.run.number, 20.0)
     expect(field(tab, "β")).to_have_value("0.9")
     tab.get_by_role("button", name="Run", exact=True).wait_for()
     eventually(tab, lambda: slider_at(tab) == STEPS)
@@ -139,7 +141,7 @@ def past_shown(page: Page) -> int | None:
 
 
 def cursor(live: Live) -> int | None:
-    past = live.picture.past
+    past = live.snapshot.view.past
     return None if past is None else past.cursor
 
 
@@ -173,14 +175,14 @@ def networks(page: Page) -> set[str]:
 
 def test_dragging_shows_the_past_and_the_run_rests(page: Page, live: Live) -> None:
     live.send(Pause(paused=False))
-    eventually(page, lambda: live.picture.live.step > STEPS + 20)
+    eventually(page, lambda: live.snapshot.run.live.step > STEPS + 20)
     drag(page, "go to", 0.7, 0.5)
-    end = live.picture.live.step
+    end = live.snapshot.run.live.step
     eventually(page, lambda: 0.45 * end < (past_shown(page) or 0) < 0.55 * end)
     eventually(page, lambda: slider_at(page) == past_shown(page) == cursor(live))
     assert "the run is paused meanwhile" in text_of(page)
     press(page, "Back to now")
-    eventually(page, lambda: live.picture.live.step > end + 20)
+    eventually(page, lambda: live.snapshot.run.live.step > end + 20)
     eventually(page, lambda: past_shown(page) is None)
 
 
@@ -189,13 +191,13 @@ def test_the_past_is_played_and_paused_and_stepped(page: Page, live: Live) -> No
     press(page, "Play")
     eventually(page, lambda: (past_shown(page) or 0) > 520)
     press(page, "Pause")
-    eventually(page, lambda: live.picture.paused)
+    eventually(page, lambda: live.snapshot.pacing.paused)
     at = cursor(live)
     assert at is not None
     press(page, "1 step")
     see(page, live, at + 1)
     eventually(page, lambda: slider_at(page) == at + 1)
-    assert live.picture.live.step == STEPS
+    assert live.snapshot.run.live.step == STEPS
 
 
 def test_keys_and_buttons_jump_to_changes(page: Page, live: Live) -> None:
@@ -231,26 +233,26 @@ def test_what_is_beyond_the_ends_is_taken_to_them(page: Page, live: Live) -> Non
 
 
 def test_taking_over_goes_on_from_there_and_undo_brings_back(page: Page, live: Live) -> None:
-    weight = live.picture.live.weight.copy()
+    weight = live.snapshot.run.live.weight.copy()
     go_to(page, live, 600)
     press(page, "Take over here")
-    eventually(page, lambda: live.picture.past is None and live.picture.live.step > 610)
+    eventually(page, lambda: live.snapshot.view.past is None and live.snapshot.run.live.step > 610)
     live.send(Pause(paused=True))
-    eventually(page, lambda: live.picture.paused)
-    assert live.picture.live.step < STEPS
+    eventually(page, lambda: live.snapshot.pacing.paused)
+    assert live.snapshot.run.live.step < STEPS
     press(page, "Undo: taking over at step 600")
-    eventually(page, lambda: live.picture.live.step >= STEPS)
-    picture = live.picture
-    assert picture.live.step == STEPS, "it rests as before the undo"
-    assert [c.step for c in picture.changes] == [CHANGED_AT]
-    assert np.array_equal(picture.live.weight, weight)
+    eventually(page, lambda: live.snapshot.run.live.step >= STEPS)
+    snapshot = live.snapshot
+    assert snapshot.run.live.step == STEPS, "it rests as before the undo"
+    assert [c.step for c in snapshot.run.changes] == [CHANGED_AT]
+    assert np.array_equal(snapshot.run.live.weight, weight)
 
 
 def test_another_beta_in_the_past_takes_over(page: Page, live: Live) -> None:
     go_to(page, live, 600)
     enter(page, "β", "0.5")
-    eventually(page, lambda: live.picture.past is None and live.picture.beta == 0.5)
-    assert [c.step for c in live.picture.changes] == [600]
+    eventually(page, lambda: live.snapshot.view.past is None and live.snapshot.run.beta == 0.5)
+    assert [c.step for c in live.snapshot.run.changes] == [600]
 
 
 def test_the_charts_show_where_the_past_is(page: Page, live: Live) -> None:
@@ -279,16 +281,16 @@ def test_a_fork_shows_two_networks_until_it_ends(page: Page, live: Live) -> None
     choose(page, "differ in", "another γ")
     expect(field(page, "its value")).to_have_value("0.001")
     press(page, "Fork here")
-    eventually(page, lambda: live.picture.other is not None)
-    other = live.picture.other
+    eventually(page, lambda: live.snapshot.view.other is not None)
+    other = live.snapshot.view.other
     assert other is not None and other.words == "γ 0.001"
     eventually(page, lambda: networks(page) == {"this", "other"})
     live.send(Pause(paused=False), SetSpeed(1000.0))
     eventually(page, lambda: re.search(r"this run .* other, γ 0.001: ", text_of(page)))
     live.send(Pause(paused=True))
     press(page, "Keep the other copy")
-    eventually(page, lambda: live.picture.other is None and networks(page) == {"this"})
-    assert live.picture.gamma == 0.001
+    eventually(page, lambda: live.snapshot.view.other is None and networks(page) == {"this"})
+    assert live.snapshot.run.gamma == 0.001
     page.get_by_role("button", name="Fork here").wait_for()
 
 
@@ -300,7 +302,7 @@ def test_a_wrong_value_is_refused_in_words(page: Page, live: Live) -> None:
     enter(page, "its value", "1.5")
     press(page, "Fork here")
     page.get_by_text(re.compile(r"beta must be .*got 1.5")).first.wait_for()
-    assert live.picture.other is None
+    assert live.snapshot.view.other is None
 
 
 # Recording
@@ -313,7 +315,7 @@ def test_a_recording_is_made_from_the_page(page: Page, live: Live, folder: Path)
     still(page, page.get_by_role("button", name="Record", exact=True)).click()
     page.get_by_role("button", name="Stop recording").wait_for()
     live.send(Pause(paused=False), SetSpeed(1000.0))
-    eventually(page, lambda: live.picture.live.step > STEPS + 500)
+    eventually(page, lambda: live.snapshot.run.live.step > STEPS + 500)
     assert "● recording" in text_of(page)
     assert "every step is kept" in text_of(page)
     assert "windows of 500 steps at regular intervals" in text_of(page)
@@ -379,13 +381,13 @@ def test_a_recording_is_scrubbed_and_played(replayed: tuple[Page, Live]) -> None
     press(page, "Play")
     eventually(page, lambda: (past_shown(page) or 0) > CHANGED_AT + 10)
     press(page, "Pause")
-    eventually(page, lambda: live.picture.paused)
+    eventually(page, lambda: live.snapshot.pacing.paused)
 
 
 def test_a_recording_goes_on_where_it_is_taken_over(replayed: tuple[Page, Live]) -> None:
     page, live = replayed
     go_to(page, live, 1300)
     page.keyboard.press("t")
-    eventually(page, lambda: live.picture.past is None and live.picture.live.step > 1310)
+    eventually(page, lambda: live.snapshot.view.past is None and live.snapshot.run.live.step > 1310)
     page.keyboard.press("u")
-    eventually(page, lambda: live.picture.live.step >= STEPS)
+    eventually(page, lambda: live.snapshot.run.live.step >= STEPS)

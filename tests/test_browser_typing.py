@@ -15,7 +15,7 @@ from hebbviz.learner import Learner
 from server.app import Site
 from server.changes import SetBeta
 from server.commands import Pause, Seek, SetWatch
-from server.picture import Picture
+from server.snapshot import Snapshot
 from server.worker import Worker
 from sims.loading import make_task
 
@@ -33,7 +33,7 @@ class Live:
     worker: Worker
 
     @property
-    def picture(self) -> Picture:
+    def snapshot(self) -> Snapshot:
         assert self.worker.latest is not None
         return self.worker.latest
 
@@ -70,7 +70,7 @@ def type_slowly(page: Page, label: str, text: str) -> None:
 
 
 def changes(live: Live) -> list[str]:
-    return [str(c.change) for c in live.picture.changes]
+    return [str(c.change) for c in live.snapshot.run.changes]
 
 
 def test_what_is_typed_slowly_is_one_change_on_enter(page: Page, live: tuple[Live, str]) -> None:
@@ -82,25 +82,25 @@ def test_what_is_typed_slowly_is_one_change_on_enter(page: Page, live: tuple[Liv
     type_slowly(page, "γ", "0.001")
     field(page, "γ").blur()
     eventually(page, lambda: changes(shown) == ["β 0.95", "γ 0.001"])
-    assert shown.picture.run_number == 0
+    assert shown.snapshot.run.number == 0
 
 
 def test_a_seed_sizes_and_lanes_begin_one_run_each(page: Page, live: tuple[Live, str]) -> None:
     shown, _ = live
     type_slowly(page, "seed", "42")
-    assert shown.picture.run_number == 0
+    assert shown.snapshot.run.number == 0
     field(page, "seed").press("Enter")
-    eventually(page, lambda: shown.picture.seed == 42)
-    assert shown.picture.run_number == 1
+    eventually(page, lambda: shown.snapshot.run.seed == 42)
+    assert shown.snapshot.run.number == 1
     type_slowly(page, "hidden", "12")
-    assert shown.picture.run_number == 1
+    assert shown.snapshot.run.number == 1
     field(page, "hidden").press("Tab")
-    eventually(page, lambda: shown.picture.live.topology.describe() == "8-12-2")
-    assert shown.picture.run_number == 2
+    eventually(page, lambda: shown.snapshot.run.live.topology.describe() == "8-12-2")
+    assert shown.snapshot.run.number == 2
     type_slowly(page, "lanes", "12")
     field(page, "lanes").press("Enter")
-    eventually(page, lambda: shown.picture.lanes == 12)
-    assert shown.picture.run_number == 3
+    eventually(page, lambda: shown.snapshot.run.lanes == 12)
+    assert shown.snapshot.run.number == 3
 
 
 def test_a_refused_value_leaves_its_field_at_once(page: Page, live: tuple[Live, str]) -> None:
@@ -109,7 +109,7 @@ def test_a_refused_value_leaves_its_field_at_once(page: Page, live: tuple[Live, 
         enter(page, label, text)
         expect(field(page, label)).to_have_value(held)
     assert changes(shown) == []
-    assert shown.picture.run_number == 0
+    assert shown.snapshot.run.number == 0
 
 
 def test_nothing_moves_a_field_under_the_hand_that_types(
@@ -122,17 +122,20 @@ def test_nothing_moves_a_field_under_the_hand_that_types(
     beta.press("End")
     beta.press("7")
     shown.worker.send(SetBeta(0.5))
-    eventually(page, lambda: shown.picture.beta == 0.5)
+    eventually(page, lambda: shown.snapshot.run.beta == 0.5)
     page.wait_for_timeout(PAUSE)
     assert beta.input_value() == "0.987"
     beta.press("Backspace")
     beta.blur()
     expect(beta).to_have_value("0.5")
     assert changes(shown) == ["β 0.5"]
-    eventually(page, lambda: shown.picture.live.step > 300)
+    eventually(page, lambda: shown.snapshot.run.live.step > 300)
     shown.worker.send(SetWatch(on=False))
     shown.worker.send(Seek(0))
     shown.worker.send(Pause(paused=False))
     type_slowly(page, "at step", "250")
     field(page, "at step").press("Enter")
-    eventually(page, lambda: shown.picture.past is not None and shown.picture.past.cursor >= 250)
+    eventually(
+        page,
+        lambda: shown.snapshot.view.past is not None and shown.snapshot.view.past.cursor >= 250,
+    )

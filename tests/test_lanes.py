@@ -387,34 +387,34 @@ def test_the_watched_lane_is_recorded_as_the_run_that_it_is(tmp_path: Path) -> N
 def test_the_worker_shows_the_chosen_lane_everywhere() -> None:
     with bench(new_run(), SetSpeed(2000.0)) as b:
         b.send(WatchLane(2))
-        picture = b.until(lambda p: p.lane == 2 and p.live.step > 3000, PATIENCE)
-        assert picture.lanes == LANES
-        own = picture.curves.lane(2)
-        np.testing.assert_array_equal(picture.curve.reward, own.reward)
+        snapshot = b.until(lambda p: p.run.lane == 2 and p.run.live.step > 3000, PATIENCE)
+        assert snapshot.run.lanes == LANES
+        own = snapshot.run.curves.lane(2)
+        np.testing.assert_array_equal(snapshot.run.curve.reward, own.reward)
         b.send(Pause(paused=True), Seek(1500))
-        past = b.until(lambda p: p.past is not None and p.shown.step == 1500, PATIENCE)
+        past = b.until(lambda p: p.view.past is not None and p.view.frame.step == 1500, PATIENCE)
         one = Learner(make_task("sonar"), seed=SEED, first_lane=2)
         one.skip(1500)
-        np.testing.assert_array_equal(past.shown.weight, one.weights[:, 0])
+        np.testing.assert_array_equal(past.view.frame.weight, one.weights[:, 0])
         b.send(WatchLane(4))
-        past = b.until(lambda p: p.lane == 4, PATIENCE)
+        past = b.until(lambda p: p.run.lane == 4, PATIENCE)
         other = Learner(make_task("sonar"), seed=SEED, first_lane=4)
         other.skip(1500)
-        np.testing.assert_array_equal(past.shown.weight, other.weights[:, 0])
+        np.testing.assert_array_equal(past.view.frame.weight, other.weights[:, 0])
         b.send(TakeOver(), Pause(paused=True), StartFork(GAMMA, 0.5), WatchLane(1))
-        both = b.until(lambda p: p.other is not None and p.lane == 1, PATIENCE)
-        assert both.other is not None
-        assert both.other.frame.tally == both.live.tally
+        both = b.until(lambda p: p.view.other is not None and p.run.lane == 1, PATIENCE)
+        assert both.view.other is not None
+        assert both.view.other.frame.tally == both.run.live.tally
         b.send(EndFork(keep_other=True), Undo(), BackToNow(), WatchLane(LANES), WatchLane(-1))
         b.until(lambda _: len(b.notices) >= 3, PATIENCE)
         assert b.notices[1:] == [
             f"lane must be from 0 to {LANES - 1}, got {k}" for k in (LANES, -1)
         ]
         b.send(NextLane(), NextLane(-1), NextLane(-1), NextLane(-1))
-        b.until(lambda p: p.lane == LANES - 1, PATIENCE)
+        b.until(lambda p: p.run.lane == LANES - 1, PATIENCE)
         b.send(Reset(lanes=1), SetGamma(0.1), NextLane())
-        alone = b.until(lambda p: p.lanes == 1 and p.gamma == 0.1, PATIENCE)
-        assert (alone.lane, alone.undo_words) == (0, "γ 0.1")
+        alone = b.until(lambda p: p.run.lanes == 1 and p.run.gamma == 0.1, PATIENCE)
+        assert (alone.run.lane, alone.run.undo_words) == (0, "γ 0.1")
 
 
 @pytest.mark.parametrize("lanes", [0, -1, MOST_SHOWN_LANES + 1])

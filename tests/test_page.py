@@ -20,7 +20,7 @@ from server.page import Page
 from sims.loading import make_task
 
 if TYPE_CHECKING:
-    from server.picture import Picture
+    from server.snapshot import Snapshot
 
 
 PATIENCE = 30.0
@@ -49,17 +49,17 @@ def running(task: Task) -> Iterator[Site]:
         thread.join(10.0)
 
 
-def latest(site: Site) -> Picture:
+def latest(site: Site) -> Snapshot:
     assert site._worker is not None and site._worker.latest is not None
     return site._worker.latest
 
 
 def goes_on(site: Site, client: RawClient) -> None:
     """Steps are made, and the tab is told of what is drawn."""
-    step, frames = latest(site).live.step, client.frames
+    step, frames = latest(site).run.live.step, client.frames
 
     def moved() -> bool:
-        return latest(site).live.step > step and client.frames > frames + 20
+        return latest(site).run.live.step > step and client.frames > frames + 20
 
     client.wait(moved, PATIENCE)
 
@@ -88,9 +88,9 @@ def test_what_cannot_be_drawn_is_said_and_the_run_goes_on(capfd: Any) -> None:
 
     with running(OutOfSight()) as site:
         wait_until(times, PATIENCE)
-        number, step = latest(site).number, latest(site).live.step
+        number, step = latest(site).number, latest(site).run.live.step
         wait_until(lambda: latest(site).number > number + 40, PATIENCE)
-        assert latest(site).live.step > step
+        assert latest(site).run.live.step > step
     assert times() == 1
 
 

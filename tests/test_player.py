@@ -402,7 +402,7 @@ class Stage:
             time.sleep(0.01)
 
     @property
-    def picture(self):  # type: ignore[no-untyped-def]
+    def snapshot(self):  # type: ignore[no-untyped-def]
         return self.worker.latest
 
 
@@ -417,19 +417,19 @@ def stage(tmp_path: Path):  # type: ignore[no-untyped-def]
 
 def test_a_live_run_is_rewound_and_left(stage: Stage) -> None:
     stage.send(Seek(450))
-    assert stage.picture.past is not None
-    assert (stage.picture.past.cursor, stage.picture.shown.step) == (450, 450)
-    assert stage.picture.past.check is Check.OWN
-    assert stage.picture.live.step == STEP
+    assert stage.snapshot.view.past is not None
+    assert (stage.snapshot.view.past.cursor, stage.snapshot.view.frame.step) == (450, 450)
+    assert stage.snapshot.view.past.check is Check.OWN
+    assert stage.snapshot.run.live.step == STEP
     stage.send(SeekEvent(Event.NEXT_CHANGE))
-    assert stage.picture.past.cursor == 600
+    assert stage.snapshot.view.past.cursor == 600
     stage.send(StepOnce(7))
-    assert stage.picture.past.cursor == 607
+    assert stage.snapshot.view.past.cursor == 607
     stage.send(SetSpeed(200.0), SetLoop(loop=True), Pause(paused=False))
-    stage.wait(lambda: stage.picture.past.cursor > 640)
-    assert stage.picture.paused is False
+    stage.wait(lambda: stage.snapshot.view.past.cursor > 640)
+    assert stage.snapshot.pacing.paused is False
     stage.send(BackToNow())
-    assert stage.picture.past is None
+    assert stage.snapshot.view.past is None
     assert stage.run.learner.step == STEP, "the run has not moved"
 
 
@@ -438,15 +438,15 @@ def test_a_reward_that_is_looked_for_is_seen_at_its_step_as_long_as_it_is_shown(
 ) -> None:
     stage.send(Seek(0))
     for _ in range(5):
-        leaps = stage.picture.leaps
+        leaps = stage.snapshot.view.leaps
         stage.send(SeekEvent(Event.NEXT_REWARD))
         for _ in range(3):
             stage.send()
-            shown = stage.picture.shown
+            shown = stage.snapshot.view.frame
             assert (shown.since.steps, shown.since.tally.broadcast) == (1, -1.0)
             change = shown.weight - straight("pendulum", shown.step - 1).weights[:, 0]
             np.testing.assert_allclose(shown.since.weight_change, change, atol=1e-15)
-            assert stage.picture.leaps == leaps + 1
+            assert stage.snapshot.view.leaps == leaps + 1
 
 
 def test_of_another_lane_nothing_is_said_that_was_of_the_one_before(tmp_path: Path) -> None:
@@ -455,12 +455,12 @@ def test_of_another_lane_nothing_is_said_that_was_of_the_one_before(tmp_path: Pa
     stage = Stage(run, tmp_path)
     try:
         stage.send(StepOnce(1))
-        stage.wait(lambda: stage.picture.shown.since.steps == 1)
-        leaps = stage.picture.leaps
+        stage.wait(lambda: stage.snapshot.view.frame.since.steps == 1)
+        leaps = stage.snapshot.view.leaps
         stage.send(WatchLane(1))
-        assert (stage.picture.leaps, stage.picture.shown.since.steps) == (leaps + 1, 0)
+        assert (stage.snapshot.view.leaps, stage.snapshot.view.frame.since.steps) == (leaps + 1, 0)
         stage.send(WatchLane(1))
-        assert stage.picture.leaps == leaps + 1
+        assert stage.snapshot.view.leaps == leaps + 1
     finally:
         stage.worker.stop()
         stage.worker.join(5.0)
@@ -469,10 +469,10 @@ def test_of_another_lane_nothing_is_said_that_was_of_the_one_before(tmp_path: Pa
 def test_a_run_is_taken_over_from_its_past_and_brought_back(stage: Stage) -> None:
     digest = stage.run.learner.keyframe().digest()
     stage.send(SetSpeed(50.0), Seek(450), SetBeta(0.5))
-    stage.wait(lambda: stage.picture.live.step > 455)
-    assert (stage.picture.past, stage.picture.beta) == (None, 0.5)
+    stage.wait(lambda: stage.snapshot.run.live.step > 455)
+    assert (stage.snapshot.view.past, stage.snapshot.run.beta) == (None, 0.5)
     stage.send(Undo(), Pause(paused=True))
-    stage.wait(lambda: stage.picture.live.step >= STEP)
+    stage.wait(lambda: stage.snapshot.run.live.step >= STEP)
     stage.worker.stop()
     stage.worker.join(5.0)
     if stage.run.learner.step == STEP:
@@ -488,64 +488,66 @@ def test_what_is_undone_in_vain_or_refused_leaves_the_past_and_a_fork(stage: Sta
         stage.wait(lambda before=before: len(stage.notices) == before + 2)  # type: ignore[misc]
         assert "nothing to undo" in stage.notices[-2]
         assert "hidden" in stage.notices[-1]
-        past, other = stage.picture.past, stage.picture.other
+        past, other = stage.snapshot.view.past, stage.snapshot.view.other
         assert (past.cursor == 200) if isinstance(begin, Seek) else (other is not None)
 
 
 def test_no_excerpt_is_played_of_a_fork_or_the_past(stage: Stage) -> None:
     stage.send(SetWatch(on=True), Pause(paused=False))
-    stage.wait(lambda: stage.picture.excerpt is not None)
+    stage.wait(lambda: stage.snapshot.view.excerpt is not None)
     stage.send(StartFork(NO_MEMORY), ShowReward(), ShowBeginning())
-    assert stage.picture.other is not None
-    assert stage.picture.excerpt is None
+    assert stage.snapshot.view.other is not None
+    assert stage.snapshot.view.excerpt is None
     assert stage.notices == [NOTHING_TO_PLAY]
     stage.send(EndFork(), Seek(450), ShowReward())
-    assert stage.picture.past is not None
-    assert stage.picture.excerpt is None
+    assert stage.snapshot.view.past is not None
+    assert stage.snapshot.view.excerpt is None
     assert stage.notices == 2 * [NOTHING_TO_PLAY]
 
 
 def test_what_a_tab_follows_it_follows_after_a_reset_too(stage: Stage) -> None:
     stage.send(Probe((3, 10**6)), Reset(), Pause(paused=False))
-    stage.wait(lambda: stage.picture.live.since.probes == (3,))
+    stage.wait(lambda: stage.snapshot.run.live.since.probes == (3,))
 
 
 def test_a_change_in_the_past_takes_over_there(stage: Stage) -> None:
     stage.send(SetSpeed(20.0), Seek(100), SetGamma(1e-4))
-    assert stage.picture.past is None
-    assert stage.picture.gamma == 1e-4
-    assert stage.picture.live.step < 400
+    assert stage.snapshot.view.past is None
+    assert stage.snapshot.run.gamma == 1e-4
+    assert stage.snapshot.run.live.step < 400
 
 
 def test_a_fork_runs_beside_and_one_of_the_two_is_kept(stage: Stage) -> None:
     stage.send(Seek(500), StartFork(NO_MEMORY), Pause(paused=False))
-    stage.wait(lambda: stage.picture.other is not None and stage.picture.live.step > 1000)
-    picture = stage.picture
-    assert (picture.other.words, picture.other.start) == (NO_MEMORY, 500)
-    assert picture.other.frame.step == picture.live.step
+    stage.wait(
+        lambda: stage.snapshot.view.other is not None and stage.snapshot.run.live.step > 1000
+    )
+    snapshot = stage.snapshot
+    assert (snapshot.view.other.words, snapshot.view.other.start) == (NO_MEMORY, 500)
+    assert snapshot.view.other.frame.step == snapshot.run.live.step
     stage.send(Pause(paused=True), EndFork(keep_other=True))
-    assert stage.picture.other is None
-    assert stage.picture.beta == 0.0
-    assert [str(c.change) for c in stage.picture.changes][-1] == "β 0"
+    assert stage.snapshot.view.other is None
+    assert stage.snapshot.run.beta == 0.0
+    assert [str(c.change) for c in stage.snapshot.run.changes][-1] == "β 0"
     stage.send(Undo())
-    assert stage.picture.beta == 0.9
+    assert stage.snapshot.run.beta == 0.9
 
 
 def test_the_copy_that_is_kept_has_the_changes_that_were_made_in_it(stage: Stage) -> None:
     known = [str(c) for c in CHANGED.values()]
     stage.send(StartFork(BETA, 0.5), SetBeta(0.7), SetGamma(2e-3), EndFork(keep_other=True))
-    assert (stage.picture.beta, stage.picture.gamma) == (0.5, 2e-3)
-    assert [str(c.change) for c in stage.picture.changes] == [*known, "β 0.5", "γ 0.002"]
+    assert (stage.snapshot.run.beta, stage.snapshot.run.gamma) == (0.5, 2e-3)
+    assert [str(c.change) for c in stage.snapshot.run.changes] == [*known, "β 0.5", "γ 0.002"]
 
 
 def test_recording_is_begun_and_ended_by_commands(stage: Stage) -> None:
     stage.send(StartRecording("a run"), Pause(paused=False))
-    stage.wait(lambda: stage.picture.live.step > STEP + 2000)
-    assert stage.picture.records
+    stage.wait(lambda: stage.snapshot.run.live.step > STEP + 2000)
+    assert stage.snapshot.recording.is_on
     stage.send(StartRecording("another"))
     assert any("goes on already" in n for n in stage.notices)
     stage.send(StopRecording())
-    assert not stage.picture.records
+    assert not stage.snapshot.recording.is_on
     recording = open_recording(stage.recordings.folder / "a run.rrd")
     assert recording.header.step == STEP
     assert recording.ending is not None
@@ -556,18 +558,18 @@ def test_recording_is_begun_and_ended_by_commands(stage: Stage) -> None:
 @pytest.mark.parametrize("name", ["", "../x", "a/b", ".hidden", "a" * 200, "x\n", "~"])
 def test_names_that_could_leave_the_folder_are_refused(stage: Stage, name: str) -> None:
     stage.send(StartRecording(name))
-    assert not stage.picture.records
+    assert not stage.snapshot.recording.is_on
     assert any("a recording's name has" in n for n in stage.notices)
 
 
 def test_a_recording_is_played_from_its_beginning(tmp_path: Path) -> None:
     stage = Stage(recorded(tmp_path / "run.rrd"), tmp_path, in_the_past=True)
     try:
-        stage.wait(lambda: stage.picture is not None and stage.picture.past is not None)
-        assert stage.picture.past.cursor == 0
-        stage.wait(lambda: stage.picture.past.check is Check.GOOD)
+        stage.wait(lambda: stage.snapshot is not None and stage.snapshot.view.past is not None)
+        assert stage.snapshot.view.past.cursor == 0
+        stage.wait(lambda: stage.snapshot.view.past.check is Check.GOOD)
         stage.send(Pause(paused=False))
-        stage.wait(lambda: stage.picture.past.cursor > 5)
+        stage.wait(lambda: stage.snapshot.view.past.cursor > 5)
     finally:
         stage.worker.stop()
         stage.worker.join(5.0)

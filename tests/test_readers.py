@@ -169,7 +169,7 @@ def shown(folder: Path) -> Iterator[Site]:
 def follows(site: Site) -> bool:
     """Whether the page's widgets show the run."""
     controls = getattr(site._page, "_controls", None)
-    return controls is not None and controls._ui._picture is not None
+    return controls is not None and controls._ui._snapshot is not None
 
 
 def another(widget: Widget) -> Any:
@@ -193,13 +193,14 @@ def another(widget: Widget) -> Any:
 def state(site: Site) -> tuple[Any, ...]:
     """All that a page could change of the run, its steps aside."""
     assert site._worker is not None
-    picture = site._worker.latest
-    assert picture is not None
-    names = ("task", "task_name", "seed", "lane", "beta", "gamma", "frozen", "changes", "paused",
-             "speed", "watching", "watch_speed", "run_number", "past", "other", "recording",
-             "records", "evaluations", "undo_words")  # fmt: skip
-    rest = site._page._theme, picture.live.topology
-    return (*(getattr(picture, name) for name in names), *rest)
+    snapshot = site._worker.latest
+    assert snapshot is not None
+    run, view, pacing = snapshot.run, snapshot.view, snapshot.pacing
+    settings = (run.number, run.task, run.task_name, run.seed, run.lane, run.beta, run.gamma)
+    log = (run.frozen, run.changes, run.undo_words, snapshot.findings.evaluations)
+    shown = (view.watching, view.watch_speed, view.past, view.other, pacing.paused, pacing.speed)
+    rest = site._page._theme, run.live.topology, snapshot.recording
+    return (*settings, *log, *shown, *rest)
 
 
 def test_whatever_a_reader_sends_the_run_goes_on_as_it_was(tmp_path: Path) -> None:
@@ -224,4 +225,4 @@ def test_whatever_a_reader_sends_the_run_goes_on_as_it_was(tmp_path: Path) -> No
         with came_in(site._server, Role.OWNER) as owner:
             settle(site._server, owner)
             owner.trigger("Freeze learning")
-            wait_until(lambda: site._worker.latest.frozen)
+            wait_until(lambda: site._worker.latest.run.frozen)

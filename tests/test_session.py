@@ -34,7 +34,7 @@ def go_on(session: Session, seconds: float) -> None:
 def shown(session: Session) -> tuple[Frame, Frame]:
     """The run's frame, and the one that is shown."""
     live = session.run.frame()
-    return live, session.showing.play(live, 0.1, session.tempo)[0]
+    return live, session.showing.view(live, 0.1, session.tempo).frame
 
 
 def test_it_is_stepped_by_the_time_that_passes(session: Session) -> None:
@@ -67,7 +67,7 @@ def test_the_run_rests_while_its_past_is_shown(session: Session) -> None:
 def test_two_copies_go_on_together_and_have_no_past(session: Session) -> None:
     StartFork(NO_MEMORY).apply(session)
     go_on(session, 0.05)
-    other = session.showing.other()
+    other = session.showing.view(session.run.frame(), 0.1, session.tempo).other
     assert other is not None
     assert other.frame.step == session.run.learner.step > other.start
     with pytest.raises(ValueError, match="end the fork first"):

@@ -45,7 +45,7 @@ def panel() -> Iterator[Panel]:
     notices: list[str] = []
     ui = Widgets(server.gui, sent.append, notices.append)
     made = Controls(ui, seed=0)
-    ui.follow(_picture())
+    ui.follow(_snapshot())
     for handle, value in (
         (made.beta, "0.98"), (made.gamma, "0.01"), (made.seed, "0"), (made.typed_speed, "max"),
         (made.hidden, "4"),
@@ -59,10 +59,9 @@ def panel() -> Iterator[Panel]:
         server.stop()
 
 
-def _picture() -> Any:
-    return SimpleNamespace(
-        run_number=0, past=None, beta=0.98, gamma=0.01, frozen=False, seed=0, lanes=1
-    )
+def _snapshot() -> Any:
+    run = SimpleNamespace(number=0, beta=0.98, gamma=0.01, frozen=False, seed=0, lanes=1)
+    return SimpleNamespace(run=run, view=SimpleNamespace(past=None))
 
 
 @pytest.mark.parametrize(
@@ -126,7 +125,7 @@ def test_what_is_refused_is_said_and_leaves_its_field(
 def test_the_hidden_layers_shown_are_those_that_typed_would_make_the_network(name: str) -> None:
     task = make_task(name)
     live = Learner(task).frame()
-    shown = controls._hidden(SimpleNamespace(task=task, live=live))  # type: ignore[arg-type]
+    shown = controls._hidden(SimpleNamespace(run=SimpleNamespace(task=task, live=live)))  # type: ignore[arg-type]
     if name == "synapse":
         assert shown is None, "sizes make no single synapse"
     else:

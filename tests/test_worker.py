@@ -52,10 +52,10 @@ from server.commands import (
 from server.fork import NO_MEMORY
 from server.history import CAPACITY, History, Totals
 from server.panels.learning import evaluated
-from server.picture import Picture
 from server.recording.recordings import Options, Recordings
 from server.run import Follower, Run
 from server.session import RECORDINGS_A_MINUTE, Session
+from server.snapshot import Snapshot
 from server.tape import Moment
 from server.watch import EXCERPT_SECONDS, LEAD, TAIL, Watch
 from server.worker import Worker
@@ -465,22 +465,22 @@ class Bench:
         for command in commands:
             self.worker.send(command)
 
-    def until(self, condition: Callable[[Picture], bool], seconds: float = 20.0) -> Picture:
+    def until(self, condition: Callable[[Snapshot], bool], seconds: float = 20.0) -> Snapshot:
         """The first new picture of which it is true; it must come."""
         end, number = time.monotonic() + seconds, 0
         if self.worker.latest is not None:
             number = self.worker.latest.number
         while time.monotonic() < end:
-            picture = self.worker.wait_for(number, 0.1)
-            if picture is not None:
-                number = picture.number
-                if condition(picture):
-                    return picture
+            snapshot = self.worker.wait_for(number, 0.1)
+            if snapshot is not None:
+                number = snapshot.number
+                if condition(snapshot):
+                    return snapshot
         raise AssertionError(f"not within {seconds} s; notices {self.notices}")
 
-    def at_rest(self) -> Picture:
+    def at_rest(self) -> Snapshot:
         self.send(Pause(paused=True))
-        return self.until(lambda p: p.paused)
+        return self.until(lambda p: p.pacing.paused)
 
 
 @contextlib.contextmanager
@@ -506,39 +506,43 @@ def test_a_command_acts_soon_and_is_logged(speed: SetSpeed) -> None:
     with bench(new_run(), speed) as b:
         for command in (SetBeta(0.5), SetGamma(0.2), Freeze(frozen=True)):
             b.send(command)
-            picture = b.until(lambda p, c=command: any(e.change == c for e in p.changes), 1.0)
-        assert (picture.beta, picture.gamma, picture.frozen) == (0.5, 0.2, True)
-        assert picture.undo_words == "learning frozen"
+            snapshot = b.until(lambda p, c=command: any(e.change == c for e in p.run.changes), 1.0)
+        assert (snapshot.run.beta, snapshot.run.gamma, snapshot.run.frozen) == (0.5, 0.2, True)
+        assert snapshot.run.undo_words == "learning frozen"
     assert b.notices == []
     assert_same(fresh(b.run, b.run.learner.step), b.run.learner)
 
 
 def test_pause_stops_the_counter_and_step_steps_once() -> None:
     with bench(new_run()) as b:
-        step = b.at_rest().live.step
+        step = b.at_rest().run.live.step
         time.sleep(0.3)
-        assert b.until(lambda _: True).live.step == step
+        assert b.until(lambda _: True).run.live.step == step
         b.send(StepOnce())
-        picture = b.until(lambda p: p.live.step != step)
-        assert picture.live.step == step + 1
-        assert picture.recent is not None
-        assert picture.recent.start + len(picture.recent.fired) == step + 1
+        snapshot = b.until(lambda p: p.run.live.step != step)
+        assert snapshot.run.live.step == step + 1
+        assert snapshot.view.recent is not None
+        assert snapshot.view.recent.start + len(snapshot.view.recent.fired) == step + 1
         b.send(StepOnce(), StepOnce(3))
-        b.until(lambda p: p.live.step == step + 5)
+        b.until(lambda p: p.run.live.step == step + 5)
         time.sleep(0.2)
-        assert b.until(lambda _: True).live.step == step + 5
+        assert b.until(lambda _: True).run.live.step == step + 5
         b.send(Pause(paused=False))
-        b.until(lambda p: p.live.step > step + 1000)
+        b.until(lambda p: p.run.live.step > step + 1000)
 
 
 def test_undo_in_the_worker() -> None:
     with bench(new_run()) as b:
-        step = b.at_rest().live.step
+        step = b.at_rest().run.live.step
         b.send(SetBeta(0.5), Pause(paused=False))
-        b.until(lambda p: p.live.step > step + 1000)
+        b.until(lambda p: p.run.live.step > step + 1000)
         b.send(Pause(paused=True), Undo())
-        picture = b.until(lambda p: p.live.step == step)
-        assert (picture.beta, picture.undo_words, list(picture.changes)) == (0.98, None, [])
+        snapshot = b.until(lambda p: p.run.live.step == step)
+        assert (snapshot.run.beta, snapshot.run.undo_words, list(snapshot.run.changes)) == (
+            0.98,
+            None,
+            [],
+        )
         assert_same(fresh(b.run, step), b.run.learner)
         b.send(Undo())
         b.until(lambda _: "there is nothing to undo" in b.notices)
@@ -552,12 +556,18 @@ def test_a_drag_is_one_undo(monkeypatch: pytest.MonkeyPatch) -> None:
             b.send(SetBeta(0.5 + k / 100))
             time.sleep(0.02)
         b.send(SetGamma(0.5))
-        told = b.until(lambda p: p.gamma == 0.5).changes
+        told = b.until(lambda p: p.run.gamma == 0.5).run.changes
         assert [str(c.change) for c in told] == ["β 0.69", "γ 0.5"], "where it settled"
         b.send(Undo())
-        b.until(lambda p: p.gamma == before.gamma and p.beta == 0.69 and p.undo_words == "β 0.69")
+        b.until(
+            lambda p: (
+                p.run.gamma == before.run.gamma
+                and p.run.beta == 0.69
+                and p.run.undo_words == "β 0.69"
+            )
+        )
         b.send(Undo())
-        assert b.until(lambda p: p.beta == before.beta).undo_words is None
+        assert b.until(lambda p: p.run.beta == before.run.beta).run.undo_words is None
 
 
 def test_of_a_drag_the_log_keeps_all_and_tells_where_it_settled() -> None:
@@ -576,25 +586,25 @@ def test_of_a_drag_the_log_keeps_all_and_tells_where_it_settled() -> None:
 def test_a_change_after_a_reset_is_its_own_undo() -> None:
     with bench(new_run(), Pause(paused=True)) as b:
         b.send(SetBeta(0.5), Reset(), SetBeta(0.6))
-        b.until(lambda p: p.beta == 0.6)
+        b.until(lambda p: p.run.beta == 0.6)
         b.send(Undo())
-        picture = b.until(lambda p: p.beta == 0.5)
-        assert picture.undo_words == "reset"
+        snapshot = b.until(lambda p: p.run.beta == 0.5)
+        assert snapshot.run.undo_words == "reset"
 
 
 def test_choose_and_reset_make_another_run() -> None:
     with bench(new_run()) as b:
         b.send(Choose("synapse", "script"))
-        picture = b.until(lambda p: p.task_name == "synapse", 20.0)
-        assert (picture.speed, picture.watching) == (1.5, False)
+        snapshot = b.until(lambda p: p.run.task_name == "synapse", 20.0)
+        assert (snapshot.pacing.speed, snapshot.view.watching) == (1.5, False)
         b.send(Undo())
-        picture = b.until(lambda p: p.task_name == "pendulum")
-        assert (picture.speed, picture.watching) == ("max", True)
-        b.until(lambda p: p.task_name == "pendulum" and p.live.step > 1000)
+        snapshot = b.until(lambda p: p.run.task_name == "pendulum")
+        assert (snapshot.pacing.speed, snapshot.view.watching) == ("max", True)
+        b.until(lambda p: p.run.task_name == "pendulum" and p.run.live.step > 1000)
         b.send(Reset(seed=8))
-        later = b.until(lambda p: p.seed == 8)
-        assert later.ghost is not None
-        assert later.run_number > picture.run_number
+        later = b.until(lambda p: p.run.seed == 8)
+        assert later.run.ghost is not None
+        assert later.run.number > snapshot.run.number
 
 
 def made_late(gate: threading.Event, late: str) -> MakeTask:
@@ -610,29 +620,29 @@ def made_late(gate: threading.Event, late: str) -> MakeTask:
 def test_a_choice_that_takes_long_holds_up_nothing_but_the_run() -> None:
     gate = threading.Event()
     with bench(Run(Learner(make("pendulum")), made_late(gate, "script"))) as b:
-        b.until(lambda p: p.live.step > 0)
+        b.until(lambda p: p.run.live.step > 0)
         b.send(Choose("synapse", "script"), SetBeta(0.25), Pause(paused=True))
-        picture = b.until(lambda p: p.preparing is not None and p.paused)
-        assert "task synapse" in (picture.preparing or "")
-        assert (picture.task_name, picture.beta) == ("pendulum", 0.98)
-        later = b.until(lambda p: p.number > picture.number + 5)
-        assert later.live.step == picture.live.step, "the run rests"
+        snapshot = b.until(lambda p: p.pacing.preparing is not None and p.pacing.paused)
+        assert "task synapse" in (snapshot.pacing.preparing or "")
+        assert (snapshot.run.task_name, snapshot.run.beta) == ("pendulum", 0.98)
+        later = b.until(lambda p: p.number > snapshot.number + 5)
+        assert later.run.live.step == snapshot.run.live.step, "the run rests"
         gate.set()
-        picture = b.until(lambda p: p.task_name == "synapse" and p.beta == 0.25)
-        assert (picture.preparing, picture.paused) == (None, True)
-        assert picture.undo_words == "β 0.25"
+        snapshot = b.until(lambda p: p.run.task_name == "synapse" and p.run.beta == 0.25)
+        assert (snapshot.pacing.preparing, snapshot.pacing.paused) == (None, True)
+        assert snapshot.run.undo_words == "β 0.25"
 
 
 def test_so_does_a_switch() -> None:
     gate = threading.Event()
     with bench(Run(Learner(make("sonar")), made_late(gate, "quick:centred=yes"))) as b:
         b.send(Reset(switch=("centred", True)), SetBeta(0.25))
-        picture = b.until(lambda p: p.preparing is not None)
-        assert "for centred on" in (picture.preparing or "")
-        assert (picture.task.settings["centred"], picture.beta) == (False, 0.5)
+        snapshot = b.until(lambda p: p.pacing.preparing is not None)
+        assert "for centred on" in (snapshot.pacing.preparing or "")
+        assert (snapshot.run.task.settings["centred"], snapshot.run.beta) == (False, 0.5)
         gate.set()
-        picture = b.until(lambda p: p.task.settings["centred"] and p.beta == 0.25)
-        assert picture.preparing is None
+        snapshot = b.until(lambda p: p.run.task.settings["centred"] and p.run.beta == 0.25)
+        assert snapshot.pacing.preparing is None
 
 
 def test_so_does_a_rule(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -648,12 +658,12 @@ def test_so_does_a_rule(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(rules._own, "slow", Slow)
     with bench(new_run()) as b:
         b.send(SetRule("slow:time=500"), SetBeta(0.25))
-        picture = b.until(lambda p: p.preparing is not None)
-        assert "for rule slow:time=500" in (picture.preparing or "")
-        assert picture.live.rule == PAPER
+        snapshot = b.until(lambda p: p.pacing.preparing is not None)
+        assert "for rule slow:time=500" in (snapshot.pacing.preparing or "")
+        assert snapshot.run.live.rule == PAPER
         gate.set()
-        picture = b.until(lambda p: p.live.rule == Slow(500.0) and p.beta == 0.25, 20.0)
-        assert (picture.preparing, picture.undo_words) == (None, "β 0.25")
+        snapshot = b.until(lambda p: p.run.live.rule == Slow(500.0) and p.run.beta == 0.25, 20.0)
+        assert (snapshot.pacing.preparing, snapshot.run.undo_words) == (None, "β 0.25")
 
 
 def test_what_is_asked_wrongly_is_a_notice() -> None:
@@ -663,51 +673,51 @@ def test_what_is_asked_wrongly_is_a_notice() -> None:
         assert b.notices[0].startswith("task 'sonar' has no time but its steps")
         assert b.notices[1].startswith("there is no task 'chess'")
         assert b.notices[2].startswith("task 'sonar' has no control 'Fly'")
-        step = b.until(lambda _: True).live.step
-        b.until(lambda p: p.live.step > step)
+        step = b.until(lambda _: True).run.live.step
+        b.until(lambda p: p.run.live.step > step)
 
 
 def test_speed_is_what_was_asked_for() -> None:
     with bench(new_run("synapse"), SetSpeed(50.0)) as b:
-        first = b.until(lambda p: p.live.step > 0)
-        last = b.until(lambda p: p.live.step > first.live.step + 200)
-        made, seconds = last.live.step - first.live.step, last.made_at - first.made_at
+        first = b.until(lambda p: p.run.live.step > 0)
+        last = b.until(lambda p: p.run.live.step > first.run.live.step + 200)
+        made, seconds = last.run.live.step - first.run.live.step, last.made_at - first.made_at
         assert 40 < made / seconds < 60
-        b.until(lambda p: 45 < p.steps_per_second < 55)
+        b.until(lambda p: 45 < p.pacing.steps_per_second < 55)
         b.send(SetSpeed(4.0))
-        b.until(lambda p: 3 < p.steps_per_second < 5)
-        assert b.at_rest().steps_per_second == 0.0
+        b.until(lambda p: 3 < p.pacing.steps_per_second < 5)
+        assert b.at_rest().pacing.steps_per_second == 0.0
 
 
 def test_a_task_that_raises_pauses_the_run_and_loses_nothing() -> None:
     with bench(new_run("breaks"), SetSpeed(2000.0), StepOnce(100)) as b:
-        b.until(lambda p: p.live.step == 100)
+        b.until(lambda p: p.run.live.step == 100)
         b.send(SetBeta(0.4), Pause(paused=False))
-        picture = b.until(lambda p: p.error is not None)
-        assert picture.paused
-        assert "KeyError" in picture.error
-        assert picture.live.step == 300
+        snapshot = b.until(lambda p: p.pacing.error is not None)
+        assert snapshot.pacing.paused
+        assert "KeyError" in snapshot.pacing.error
+        assert snapshot.run.live.step == 300
         assert len(b.notices) == 1
         b.send(Pause(paused=False))
-        b.until(lambda p: len(b.notices) == 2 and p.error is not None and p.paused)
+        b.until(lambda p: len(b.notices) == 2 and p.pacing.error is not None and p.pacing.paused)
         assert b.run.learner.step == 300
         assert_same(b.run.learner, fresh(b.run, 300))
         b.send(Undo())
-        picture = b.until(lambda p: p.live.step < 300)
-        assert (picture.error, picture.beta) == (None, 0.5)
+        snapshot = b.until(lambda p: p.run.live.step < 300)
+        assert (snapshot.pacing.error, snapshot.run.beta) == (None, 0.5)
         b.send(StepOnce())
-        step = picture.live.step
-        assert b.until(lambda p: p.live.step > step).live.step == step + 1
+        step = snapshot.run.live.step
+        assert b.until(lambda p: p.run.live.step > step).run.live.step == step + 1
 
 
 def test_both_copies_of_a_fork_stop_at_the_same_step() -> None:
     with bench(new_run("breaks"), SetSpeed(2000.0), StepOnce(100)) as b:
-        b.until(lambda p: p.live.step == 100)
+        b.until(lambda p: p.run.live.step == 100)
         b.send(StartFork(NO_MEMORY), Pause(paused=False))
-        picture = b.until(lambda p: p.error is not None)
-        assert picture.other is not None
-        assert picture.other.start == 100
-        assert picture.other.frame.step == picture.live.step == 300
+        snapshot = b.until(lambda p: p.pacing.error is not None)
+        assert snapshot.view.other is not None
+        assert snapshot.view.other.start == 100
+        assert snapshot.view.other.frame.step == snapshot.run.live.step == 300
 
 
 def test_an_evaluation_that_fails_is_a_notice() -> None:
@@ -734,12 +744,12 @@ def test_a_long_evaluation_says_how_far_it_is_and_ends_with_its_run(
 
     with bench(Run(Learner(Patient()), lambda *_: Patient()), Pause(paused=True)) as b:
         b.send(Evaluate())
-        picture = b.until(lambda p: p.evaluating is not None)
+        snapshot = b.until(lambda p: p.findings.evaluating is not None)
         assert re.fullmatch(
-            r"A frozen copy is being evaluated: step [\d,]+ of 1,000,000,000\.", evaluated(picture)
+            r"A frozen copy is being evaluated: step [\d,]+ of 1,000,000,000\.", evaluated(snapshot)
         )
         b.send(Reset())
-        b.until(lambda p: p.evaluating is None)
+        b.until(lambda p: p.findings.evaluating is None)
         assert not b.notices
 
 
@@ -754,7 +764,7 @@ def test_a_frozen_copy_says_how_often_it_fell_and_how_sure_that_is() -> None:
         run = Run(Learner(task, lanes=2), lambda *_, task=task: type(task)())
         with bench(run, Pause(paused=True)) as b:
             b.send(Evaluate())
-            words = evaluated(b.until(lambda p: p.evaluations, 60.0))
+            words = evaluated(b.until(lambda p: p.findings.evaluations, 60.0))
         if held:
             assert "time to fall **over 11.1 min (no fall, 95 %)**" in words
             assert "(median unknown, no fall in 2 of 2 lanes)" in words
@@ -771,46 +781,52 @@ def test_a_frozen_copy_says_how_often_it_fell_and_how_sure_that_is() -> None:
 def test_undoing_a_switch_leaves_the_speed_that_was_chosen() -> None:
     with bench(new_run("sonar"), SetSpeed(100.0), SetWatch(on=False)) as b:
         b.send(Reset(switch=("centred", True)))
-        b.until(lambda p: p.task.settings["centred"])
+        b.until(lambda p: p.run.task.settings["centred"])
         b.send(Undo())
-        picture = b.until(lambda p: not p.task.settings["centred"])
-        assert (picture.speed, picture.watching) == (100.0, False)
+        snapshot = b.until(lambda p: not p.run.task.settings["centred"])
+        assert (snapshot.pacing.speed, snapshot.view.watching) == (100.0, False)
 
 
 def test_blocks_tell_every_step_that_is_shown() -> None:
     with bench(new_run(), SetWatch(on=False), SetSpeed(500.0)) as b:
         number, end, steps = b.worker.latest.number, time.monotonic() + 20.0, 0
-        before: Picture | None = None
+        before: Snapshot | None = None
         while steps <= 200 and time.monotonic() < end:
-            picture = b.worker.wait_for(number, 5.0)
-            assert picture is not None
-            if before is not None and picture.number == before.number + 1:
-                moved = picture.shown.step - before.shown.step
-                assert picture.recent is not None
-                assert picture.recent.start + len(picture.recent.fired) == picture.shown.step
-                assert picture.recent.start <= before.shown.step
-                assert picture.live.since.steps == moved
+            snapshot = b.worker.wait_for(number, 5.0)
+            assert snapshot is not None
+            if before is not None and snapshot.number == before.number + 1:
+                moved = snapshot.view.frame.step - before.view.frame.step
+                assert snapshot.view.recent is not None
+                assert (
+                    snapshot.view.recent.start + len(snapshot.view.recent.fired)
+                    == snapshot.view.frame.step
+                )
+                assert snapshot.view.recent.start <= before.view.frame.step
+                assert snapshot.run.live.since.steps == moved
                 steps += moved
-            before, number = picture, picture.number
+            before, number = snapshot, snapshot.number
         assert steps > 200
 
 
 def test_watching_at_full_speed_shows_contiguous_excerpts() -> None:
     with bench(new_run(), SetWatchSpeed(100.0)) as b:
-        b.until(lambda p: p.excerpt is not None)
+        b.until(lambda p: p.view.excerpt is not None)
         before = None
         for _ in range(40):
-            picture = b.until(lambda _: True)
-            if before is not None and picture.excerpt.first == before.excerpt.first:
-                skipped = picture.number - before.number - 1
-                moved = picture.shown.step - before.shown.step
+            snapshot = b.until(lambda _: True)
+            if before is not None and snapshot.view.excerpt.first == before.view.excerpt.first:
+                skipped = snapshot.number - before.number - 1
+                moved = snapshot.view.frame.step - before.view.frame.step
                 assert 0 <= moved <= 12 * (skipped + 1)
-                assert picture.recent is not None
-                assert picture.recent.start + len(picture.recent.fired) == picture.shown.step
-            assert picture.shown.step == picture.excerpt.now
-            before = picture
-        assert before.live.step > 10 * before.shown.step or before.live.step > 10_000
-        shown = before.shown
+                assert snapshot.view.recent is not None
+                assert (
+                    snapshot.view.recent.start + len(snapshot.view.recent.fired)
+                    == snapshot.view.frame.step
+                )
+            assert snapshot.view.frame.step == snapshot.view.excerpt.now
+            before = snapshot
+        assert before.run.live.step > 10 * before.view.frame.step or before.run.live.step > 10_000
+        shown = before.view.frame
         at = shown.step
         again = fresh(b.run, at).frame()
         for name in ("weight", "trace", "activity", "potential", "draw", "world"):

@@ -7,7 +7,7 @@ from functools import cache
 from importlib import import_module
 
 from server.panels.base import TABS, Panel, Place
-from server.picture import Picture
+from server.snapshot import Snapshot
 
 
 @cache
@@ -23,14 +23,14 @@ def panel_kinds() -> tuple[type[Panel], ...]:
     return tuple(sorted((k for k in kinds if k is not Panel), key=lambda kind: kind.order))
 
 
-def wanted(picture: Picture) -> tuple[type[Panel], ...]:
+def wanted(snapshot: Snapshot) -> tuple[type[Panel], ...]:
     """Those that have something to show."""
-    return tuple(kind for kind in panel_kinds() if kind.wanted(picture))
+    return tuple(kind for kind in panel_kinds() if kind.wanted(snapshot))
 
 
-def wanted_tabs(picture: Picture) -> tuple[str, ...]:
+def wanted_tabs(snapshot: Snapshot) -> tuple[str, ...]:
     """Names of the tabs that they stand in, in the order in which these stand."""
-    names = {name for kind in wanted(picture) for name in kind.tabs}
+    names = {name for kind in wanted(snapshot) for name in kind.tabs}
     return tuple(name for name in TABS if name in names)
 
 
@@ -38,12 +38,12 @@ class Panels:
     """The wanted panels; each call of `draw` renews one of them."""
 
     def __init__(self, place: Place) -> None:
-        self._panels = [kind(place) for kind in wanted(place.picture)]
+        self._panels = [kind(place) for kind in wanted(place.snapshot)]
         self._turn = 0
 
-    def draw(self, picture: Picture) -> None:
+    def draw(self, snapshot: Snapshot) -> None:
         """Renew the next one in turn: all of them several times a second."""
-        self._panels[self._turn].draw(picture)
+        self._panels[self._turn].draw(snapshot)
         self._turn = (self._turn + 1) % len(self._panels)
 
     def remove(self) -> None:

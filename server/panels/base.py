@@ -16,7 +16,7 @@ from server.charts import Cursor
 from server.history import Curve
 from server.look import neuron_names
 from server.palette import Rgb, Theme
-from server.picture import Other, Picture
+from server.snapshot import Other, Snapshot
 from server.trail import alike
 
 
@@ -44,12 +44,12 @@ class Place:
 
     gui: viser.GuiApi
     tabs: Mapping[str, Any]
-    picture: Picture
+    snapshot: Snapshot
     theme: Theme
 
     @property
     def topology(self) -> Topology:
-        return self.picture.live.topology
+        return self.snapshot.run.live.topology
 
 
 class Panel(ABC):
@@ -69,12 +69,12 @@ class Panel(ABC):
         self._handles: list[Any] = []
 
     @staticmethod
-    def wanted(picture: Picture) -> bool:
+    def wanted(snapshot: Snapshot) -> bool:
         """Whether there is something to show for this task, network and rule."""
         return True
 
     @abstractmethod
-    def draw(self, picture: Picture) -> None:
+    def draw(self, snapshot: Snapshot) -> None:
         """Show what holds; called a few times a second."""
 
     def remove(self) -> None:
@@ -92,15 +92,15 @@ OTHER: Rgb = palette.SERIES[3]
 """Of the other copy of a fork."""
 
 
-def marks(picture: Picture) -> list[float]:
+def marks(snapshot: Snapshot) -> list[float]:
     """The steps at which something was changed."""
-    return [float(c.step) for c in picture.changes]
+    return [float(c.step) for c in snapshot.run.changes]
 
 
-def cursor(picture: Picture) -> Cursor | None:
+def cursor(snapshot: Snapshot) -> Cursor | None:
     """Where in the run the step is that is shown of its past."""
-    past = picture.past
-    return None if past is None else Cursor(past.cursor, picture.first, picture.live.step)
+    past = snapshot.view.past
+    return None if past is None else Cursor(past.cursor, snapshot.run.first, snapshot.run.live.step)
 
 
 def since(other: Other) -> Curve:
@@ -111,9 +111,9 @@ def since(other: Other) -> Curve:
     )
 
 
-def others(picture: Picture) -> dict[str, Rgb]:
+def others(snapshot: Snapshot) -> dict[str, Rgb]:
     """Name and colour of the other copy's curve, while there is one."""
-    return {} if picture.other is None else {f"other: {picture.other.words}": OTHER}
+    return {} if snapshot.view.other is None else {f"other: {snapshot.view.other.words}": OTHER}
 
 
 MOST_CURVES = 8
@@ -131,6 +131,6 @@ def colors(names: Iterable[str]) -> dict[str, Rgb]:
     return {name: palette.SERIES[k % len(palette.SERIES)] for k, name in enumerate(names)}
 
 
-def latest_frames(picture: Picture) -> list[Frame]:
+def latest_frames(snapshot: Snapshot) -> list[Frame]:
     """Of the run itself, or of what is shown of its past; those of one network alone."""
-    return alike(picture.live_trail if picture.past is None else picture.shown_trail)
+    return alike(snapshot.view.live_trail if snapshot.view.past is None else snapshot.view.trail)

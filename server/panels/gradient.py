@@ -14,7 +14,7 @@ from server.estimate import AngleCurve, Estimate, knows_its_truth, tells_the_mea
 from server.look import Scale, endpoints, unit_names
 from server.palette import Rgb, css
 from server.panels.base import Panel, Place
-from server.picture import Picture
+from server.snapshot import Snapshot
 from server.widgets import assign
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ class Gradient(Panel):
         super().__init__(place)
         gui, tabs, topology = place.gui, place.tabs, place.topology
         self._theme = place.theme
-        names = unit_names(topology, tuple(i.name for i in place.picture.task.inputs))
+        names = unit_names(topology, tuple(i.name for i in place.snapshot.run.task.inputs))
         self._names = [
             f"{names[pre]} → {names[post]}" for pre, post in zip(*endpoints(topology), strict=True)
         ]
@@ -70,14 +70,14 @@ class Gradient(Panel):
             self._chart_words = self.hold(gui.add_markdown(""))
 
     @staticmethod
-    def wanted(picture: Picture) -> bool:
-        return knows_its_truth(picture.task)
+    def wanted(snapshot: Snapshot) -> bool:
+        return knows_its_truth(snapshot.run.task)
 
-    def draw(self, picture: Picture) -> None:
+    def draw(self, snapshot: Snapshot) -> None:
         """Renew everything, of the run itself or of what is shown of its past."""
-        frame = picture.live if picture.past is None else picture.shown
-        estimate = picture.estimate if picture.past is None else None
-        truth = truth_of(picture.task, frame)
+        frame = snapshot.run.live if snapshot.view.past is None else snapshot.view.frame
+        estimate = snapshot.findings.estimate if snapshot.view.past is None else None
+        truth = truth_of(snapshot.run.task, frame)
         if not isinstance(truth, GradientTruth):
             assign(self._head, "content", "")
             assign(self._bars, "content", "")
@@ -85,7 +85,7 @@ class Gradient(Panel):
             assign(self._chart_words, "content", "")
             return
         assign(self._head, "content", self._heading(truth, estimate))
-        assign(self._words, "content", _explained(picture, frame, truth, estimate))
+        assign(self._words, "content", _explained(snapshot, frame, truth, estimate))
         assign(self._bars, "content", self._compared(truth, estimate, frame))
         if estimate is not None:
             self._draw_chart(truth, estimate)
@@ -140,11 +140,11 @@ def _name(curve: AngleCurve) -> str:
 
 
 def _explained(
-    picture: Picture, frame: Frame, truth: GradientTruth, estimate: Estimate | None
+    snapshot: Snapshot, frame: Frame, truth: GradientTruth, estimate: Estimate | None
 ) -> str:
     """A sentence or two: what to make of the angle, or why there is none."""
     if estimate is None:
-        return _missing(picture, frame)
+        return _missing(snapshot, frame)
     beta, bias = float(frame.beta[0]), truth.bias_angle
     if _is_starved(truth):
         return (
@@ -164,9 +164,9 @@ def _explained(
     )
 
 
-def _missing(picture: Picture, frame: Frame) -> str:
+def _missing(snapshot: Snapshot, frame: Frame) -> str:
     """Why there is no estimate."""
-    if picture.past is not None:
+    if snapshot.view.past is not None:
         return (
             "The truth of the weights that are shown of the past. The estimate belongs to the run "
             "itself: go back to now to see it."

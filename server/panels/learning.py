@@ -16,8 +16,8 @@ from server.evaluation import Evaluation
 from server.history import Curve
 from server.palette import Rgb
 from server.panels.base import Panel, Place, cursor, marks, others, since
-from server.picture import Picture
 from server.pooling import ENOUGH, latest, pooled_curve
+from server.snapshot import Snapshot
 from server.spread import Scores, Spread
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ class Learning(Panel):
     def __init__(self, place: Place) -> None:
         super().__init__(place)
         gui, tab = place.gui, place.tabs["run"]
-        task, lanes, theme = place.picture.task, place.picture.lanes, place.theme
+        task, lanes, theme = place.snapshot.run.task, place.snapshot.run.lanes, place.theme
         self._scores, self._ghost_scores = Scores(task), Scores(task)
         self._has_lanes = lanes > 1
         self._run = "watched lane" if self._has_lanes else "this run"
@@ -70,60 +70,60 @@ class Learning(Panel):
         with tab:
             self._words = self.hold(gui.add_markdown(""))
 
-    def draw(self, picture: Picture) -> None:
-        task, curve, all_lanes, newest = picture.task, picture.curve, None, None
+    def draw(self, snapshot: Snapshot) -> None:
+        task, curve, all_lanes, newest = snapshot.run.task, snapshot.run.curve, None, None
         if self._has_lanes:
-            curves = picture.curves.coarser(MOST_WINDOWS)
-            curve, all_lanes = curves.lane(picture.lane), self._scores.spread(curves)
+            curves = snapshot.run.curves.coarser(MOST_WINDOWS)
+            curve, all_lanes = curves.lane(snapshot.run.lane), self._scores.spread(curves)
             newest = self._scores.of(curves)[-1:]
-        points = {self._run: _scores(picture.task, curve)}
+        points = {self._run: _scores(snapshot.run.task, curve)}
         bands: Bands = {}
         if all_lanes is not None:
             points[self._middle], bands[self._middle] = _drawn(all_lanes, task.measure)
-        for name, of_copies in _frozen(picture).items():
+        for name, of_copies in _frozen(snapshot).items():
             points[name], bands[name] = _drawn(of_copies, task.measure)
         points[self._dots] = _dots(task, curve)
-        points |= self._earlier(picture)
-        more = others(picture)
-        if picture.other is not None:
-            points |= dict.fromkeys(more, _scores(picture.task, since(picture.other)))
-        self._chart.draw(points, marks(picture), bands=bands, cursor=cursor(picture), more=more)
+        points |= self._earlier(snapshot)
+        more = others(snapshot)
+        if snapshot.view.other is not None:
+            points |= dict.fromkeys(more, _scores(snapshot.run.task, since(snapshot.view.other)))
+        self._chart.draw(points, marks(snapshot), bands=bands, cursor=cursor(snapshot), more=more)
         has_dots = len(points[self._dots][0]) > 0
-        self._words.content = _said(picture, curve, newest, has_dots=has_dots)
+        self._words.content = _said(snapshot, curve, newest, has_dots=has_dots)
 
-    def _earlier(self, picture: Picture) -> dict[str, Points]:
+    def _earlier(self, snapshot: Snapshot) -> dict[str, Points]:
         """The run before: the middle of its lanes. Of one lane alone the windows are too unlike
         each other to be read beside the middle of many.
         """
-        ghost = picture.ghost
+        ghost = snapshot.run.ghost
         if ghost is None or (self._has_lanes and ghost.lanes == 1):
             return {}
         if ghost.lanes == 1:
-            return {"earlier run": _scores(picture.task, ghost.lane(0))}
+            return {"earlier run": _scores(snapshot.run.task, ghost.lane(0))}
         middle = self._ghost_scores.spread(ghost.coarser(MOST_WINDOWS))
-        return {"earlier run": _drawn(middle, picture.task.measure)[0]}
+        return {"earlier run": _drawn(middle, snapshot.run.task.measure)[0]}
 
 
-def evaluated(picture: Picture) -> str:
+def evaluated(snapshot: Snapshot) -> str:
     """What the latest frozen copy did, in the watched lane, and in the middle of several; and how
     far the next one is, if it takes long.
     """
-    return " ".join(filter(None, (_last_evaluated(picture), _being_evaluated(picture))))
+    return " ".join(filter(None, (_last_evaluated(snapshot), _being_evaluated(snapshot))))
 
 
-def _being_evaluated(picture: Picture) -> str:
-    if picture.evaluating is None:
+def _being_evaluated(snapshot: Snapshot) -> str:
+    if snapshot.findings.evaluating is None:
         return ""
-    made, steps = picture.evaluating
+    made, steps = snapshot.findings.evaluating
     return f"A frozen copy is being evaluated: step {made:,} of {steps:,}."
 
 
-def _last_evaluated(picture: Picture) -> str:
-    if not picture.evaluations:
+def _last_evaluated(snapshot: Snapshot) -> str:
+    if not snapshot.findings.evaluations:
         return ""
-    latest = picture.evaluations[-1]
-    besides = picture.task.measure.keys[1:]
-    said = [_figure(picture, latest, key) for key in latest.figures if key not in besides]
+    latest = snapshot.findings.evaluations[-1]
+    besides = snapshot.run.task.measure.keys[1:]
+    said = [_figure(snapshot, latest, key) for key in latest.figures if key not in besides]
     return f"Frozen copy at step {words.count(latest.step)}: {', '.join(said)}."
 
 
@@ -175,30 +175,30 @@ def _spaced(key: str) -> str:
     return key.replace("_", " ")
 
 
-def _frozen(picture: Picture) -> dict[str, Spread]:
+def _frozen(snapshot: Snapshot) -> dict[str, Spread]:
     """What frozen copies of the run did; with one lane the middle is that lane."""
-    task, done = picture.task, picture.evaluations
+    task, done = snapshot.run.task, snapshot.findings.evaluations
     x = np.array([e.step for e in done], dtype=np.float64)
     spreads = {}
     for key in task.frozen_figures:
-        values = np.array([e.figures[key] for e in done]).reshape(len(done), picture.lanes)
+        values = np.array([e.figures[key] for e in done]).reshape(len(done), snapshot.run.lanes)
         spreads[_spaced(key)] = Spread.of(x, _in_unit(task, key, values), task.measure)
     return spreads
 
 
-def _said(picture: Picture, curve: Curve, newest: Array | None, *, has_dots: bool) -> str:
+def _said(snapshot: Snapshot, curve: Curve, newest: Array | None, *, has_dots: bool) -> str:
     """`newest` (1, lanes): the last window of all lanes."""
-    measure = picture.task.measure
-    now = _now(picture.task, curve)
+    measure = snapshot.run.task.measure
+    now = _now(snapshot.run.task, curve)
     if now and newest is not None:
         name, band = spread.names(measure)
-        now += f" in lane {picture.lane}; {name} **{words.middle(newest[0], measure)}**"
+        now += f" in lane {snapshot.run.lane}; {name} **{words.middle(newest[0], measure)}**"
         now += f" (band: {band})"
     dots = f" Dot: {_DOT.format(event=measure.event)}" if has_dots else ""
-    both = "" if picture.other is None else words.compared(picture, picture.other)
+    both = "" if snapshot.view.other is None else words.compared(snapshot, snapshot.view.other)
     return (
         f"{both}\n\nEach point sums up {words.steps(curve.window)}{_or_more(measure)}{now}.{dots} "
-        f"{_by_hand(picture)} {_changes(picture)} {evaluated(picture)}"
+        f"{_by_hand(snapshot)} {_changes(snapshot)} {evaluated(snapshot)}"
     )
 
 
@@ -226,25 +226,25 @@ def _now(task: Task, curve: Curve) -> str:
     return f"; now **{told}**{over}"
 
 
-def _by_hand(picture: Picture) -> str:
+def _by_hand(snapshot: Snapshot) -> str:
     """The rewards by hand: the curve is of the task's own."""
-    given = [c.change.reward for c in picture.changes if isinstance(c.change, GiveReward)]
+    given = [c.change.reward for c in snapshot.run.changes if isinstance(c.change, GiveReward)]
     if not given:
         return ""
     return f"Rewards by hand, **{sum(given):+.3g}** in all, are not in the curve."
 
 
-def _figure(picture: Picture, done: Evaluation, key: str) -> str:
+def _figure(snapshot: Snapshot, done: Evaluation, key: str) -> str:
     """One figure of a frozen copy in words: of the watched lane, and of the middle of several."""
-    measure = _measure_of(picture.task, key)
-    values = _in_unit(picture.task, key, done.figures[key])
+    measure = _measure_of(snapshot.run.task, key)
+    values = _in_unit(snapshot.run.task, key, done.figures[key])
     if measure.event:
-        value, count, low, high = (float(done.figures[k][picture.lane]) for k in measure.keys)
+        value, count, low, high = (float(done.figures[k][snapshot.run.lane]) for k in measure.keys)
         one = words.estimate((value, count, low, high), measure)
     else:
-        one = words.amount(float(values[picture.lane]), measure)
+        one = words.amount(float(values[snapshot.run.lane]), measure)
     said = f"{measure.name} **{one}**"
-    if picture.lanes == 1:
+    if snapshot.run.lanes == 1:
         return said
     return f"{said} ({spread.names(measure)[0]} {words.middle(values, measure)})"
 
@@ -264,9 +264,9 @@ def _in_unit(task: Task, key: str, values: Array) -> Array:
     return 100.0 * values if is_fraction and task.measure.unit == "%" else values
 
 
-def _changes(picture: Picture) -> str:
+def _changes(snapshot: Snapshot) -> str:
     """The latest changes in words, for the marks."""
-    latest = picture.changes[-3:]
+    latest = snapshot.run.changes[-3:]
     if not latest:
         return ""
     said = "; ".join(f"{c.change} at {words.count(c.step)}" for c in latest)

@@ -7,7 +7,7 @@ import numpy as np
 from server import palette
 from server.charts import Chart
 from server.panels.base import Panel, Place, latest_frames, marks
-from server.picture import Picture
+from server.snapshot import Snapshot
 
 SERIES = palette.SERIES[2:]
 """Beside the colours of the rewards."""
@@ -20,20 +20,20 @@ class Memory(Panel):
 
     def __init__(self, place: Place) -> None:
         super().__init__(place)
-        self._rule = rule = place.picture.live.rule
+        self._rule = rule = place.snapshot.run.live.rule
         series = {r.name: SERIES[k % len(SERIES)] for k, r in enumerate(rule.memory)}
         title = f"what rule {rule.name} keeps ({rule.memory[0].unit})"
         self._chart = self.hold(Chart(place.gui, place.tabs["reward"], title, series))
 
     @staticmethod
-    def wanted(picture: Picture) -> bool:
-        return bool(picture.live.rule.memory)
+    def wanted(snapshot: Snapshot) -> bool:
+        return bool(snapshot.run.live.rule.memory)
 
-    def draw(self, picture: Picture) -> None:
-        frames = [f for f in latest_frames(picture) if type(f.rule) is type(self._rule)]
+    def draw(self, snapshot: Snapshot) -> None:
+        frames = [f for f in latest_frames(snapshot) if type(f.rule) is type(self._rule)]
         if len(frames) > 1:
             x = np.array([f.step for f in frames], dtype=np.float64)
             kept = np.array([f.memory for f in frames]).T
             names = (reading.name for reading in self._rule.memory)
             points = {name: (x, row) for name, row in zip(names, kept, strict=True)}
-            self._chart.draw(points, marks(picture))
+            self._chart.draw(points, marks(snapshot))

@@ -8,7 +8,7 @@ from server import palette
 from server.charts import Chart, Points
 from server.palette import Rgb
 from server.panels.base import Panel, Place, colors, marks, neuron_curves
-from server.picture import Picture
+from server.snapshot import Snapshot
 from server.trail import alike
 
 
@@ -33,8 +33,8 @@ class Potentials(Panel):
         with tab:
             self.hold(place.gui.add_markdown(_key(hues)))
 
-    def draw(self, picture: Picture) -> None:
-        frames = alike(picture.shown_trail)
+    def draw(self, snapshot: Snapshot) -> None:
+        frames = alike(snapshot.view.trail)
         if len(frames) > 1:
             x = np.array([f.step for f in frames], dtype=np.float64)
             low, high = np.array([f.since.potential_range for f in frames]).transpose(1, 0, 2)
@@ -42,7 +42,7 @@ class Potentials(Panel):
             for name, c in self._curves.items():
                 points[name] = (x, low[:, c].min(axis=1))
                 points[f"{name} "] = (x, high[:, c].max(axis=1))
-            self._chart.draw(points, marks(picture))
+            self._chart.draw(points, marks(snapshot))
 
 
 def _key(colors: dict[str, Rgb]) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 
 from server.charts import Chart
 from server.panels.base import Panel, Place, colors, latest_frames, marks, neuron_curves
-from server.picture import Picture
+from server.snapshot import Snapshot
 
 
 class Rates(Panel):
@@ -20,10 +20,10 @@ class Rates(Panel):
         title, tab = "firing rate (spikes per step)", place.tabs["reward"]
         self._chart = self.hold(Chart(place.gui, tab, title, colors(self._curves), span=(0.0, 1.0)))
 
-    def draw(self, picture: Picture) -> None:
-        frames = latest_frames(picture)
+    def draw(self, snapshot: Snapshot) -> None:
+        frames = latest_frames(snapshot)
         if len(frames) > 1:
             x = np.array([f.step for f in frames], dtype=np.float64)
             rates = np.array([f.since.spikes / f.since.steps for f in frames])
             points = {n: (x, rates[:, c].mean(axis=1)) for n, c in self._curves.items()}
-            self._chart.draw(points, marks(picture))
+            self._chart.draw(points, marks(snapshot))

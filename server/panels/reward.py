@@ -5,7 +5,7 @@ from __future__ import annotations
 from server import palette
 from server.charts import Chart
 from server.panels.base import Panel, Place, cursor, marks, others, since
-from server.picture import Picture
+from server.snapshot import Snapshot
 
 
 class Reward(Panel):
@@ -19,14 +19,14 @@ class Reward(Panel):
         title, tab = "average reward per step", place.tabs["reward"]
         self._chart = self.hold(Chart(place.gui, tab, title, series, dashed=("as broadcast",)))
 
-    def draw(self, picture: Picture) -> None:
-        curve = picture.curve
+    def draw(self, snapshot: Snapshot) -> None:
+        curve = snapshot.run.curve
         points = {
             "of the task": (curve.end, curve.reward / curve.steps),
             "as broadcast": (curve.end, curve.broadcast / curve.steps),
         }
-        more = others(picture)
-        if picture.other is not None:
-            other = since(picture.other)
+        more = others(snapshot)
+        if snapshot.view.other is not None:
+            other = since(snapshot.view.other)
             points |= dict.fromkeys(more, (other.end, other.reward / other.steps))
-        self._chart.draw(points, marks(picture), cursor=cursor(picture), more=more)
+        self._chart.draw(points, marks(snapshot), cursor=cursor(snapshot), more=more)

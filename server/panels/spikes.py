@@ -5,7 +5,7 @@ from __future__ import annotations
 from server import words
 from server.images import raster
 from server.panels.base import Panel, Place
-from server.picture import Picture
+from server.snapshot import Snapshot
 
 
 class Spikes(Panel):
@@ -24,10 +24,12 @@ class Spikes(Panel):
             )
             self._words = self.hold(gui.add_markdown(""))
 
-    def draw(self, picture: Picture) -> None:
-        recent, topology = picture.recent, self.place.topology
-        changes = [c.step for c in picture.changes]
-        self._image.image = raster(recent, topology, self.place.theme, changes, picture.shown.rule)
+    def draw(self, snapshot: Snapshot) -> None:
+        recent, topology = snapshot.view.recent, self.place.topology
+        changes = [c.step for c in snapshot.run.changes]
+        self._image.image = raster(
+            recent, topology, self.place.theme, changes, snapshot.view.frame.rule
+        )
         upto = "No step is played yet."
         if recent is not None:
             upto = f"Every step up to {words.count(recent.end)}, newest at the right."

@@ -7,7 +7,7 @@ import numpy as np
 from server import palette
 from server.charts import Chart
 from server.panels.base import Panel, Place, marks
-from server.picture import Picture
+from server.snapshot import Snapshot
 from server.trail import alike
 
 
@@ -23,12 +23,12 @@ class Synapse(Panel):
         self._chart = self.hold(Chart(place.gui, place.tabs["now"], title, series, height=190))
 
     @staticmethod
-    def wanted(picture: Picture) -> bool:
-        return picture.live.topology.synapses == 1
+    def wanted(snapshot: Snapshot) -> bool:
+        return snapshot.run.live.topology.synapses == 1
 
-    def draw(self, picture: Picture) -> None:
-        frames = alike(picture.shown_trail)
+    def draw(self, snapshot: Snapshot) -> None:
+        frames = alike(snapshot.view.trail)
         if len(frames) > 1:
             x = np.array([f.step for f in frames], dtype=np.float64)
             z, w = np.array([(f.trace[0], f.weight[0]) for f in frames]).T
-            self._chart.draw({"z": (x, z), "w": (x, w)}, marks(picture))
+            self._chart.draw({"z": (x, z), "w": (x, w)}, marks(snapshot))

@@ -9,7 +9,7 @@ from server.images import heat_map
 from server.look import Scale
 from server.palette import Rgb
 from server.panels.base import Panel, Place
-from server.picture import Picture
+from server.snapshot import Snapshot
 
 
 class Synapses(Panel):
@@ -32,8 +32,8 @@ class Synapses(Panel):
                     pair.append((self.hold(image), self.hold(gui.add_markdown(""))))
                 self._maps.append(pair)
 
-    def draw(self, picture: Picture) -> None:
-        frame, topology = picture.shown, self.place.topology
+    def draw(self, snapshot: Snapshot) -> None:
+        frame, topology = snapshot.view.frame, self.place.topology
         for k, p in enumerate(topology.projections):
             where, shape = topology.synapses_of(k), topology.shape(p)
             p_hues = (palette.WEIGHT_POSITIVE, palette.WEIGHT_NEGATIVE)

@@ -99,17 +99,17 @@ def serve_and_answer(task: str) -> None:
     _answer({"port": int(site.address.rpartition(":")[2])})
     for line in sys.stdin:
         question, *arguments = line.split()
-        picture = worker.latest
-        assert picture is not None
+        snapshot = worker.latest
+        assert snapshot is not None
         if question == "step":
-            _answer({"step": picture.live.step, "at": picture.made_at})
+            _answer({"step": snapshot.run.live.step, "at": snapshot.made_at})
         if question == "betas":
             end, seen = time.monotonic() + float(arguments[0]), {}
             while time.monotonic() < end:
-                newer = worker.wait_for(picture.number, 0.2)
+                newer = worker.wait_for(snapshot.number, 0.2)
                 if newer is not None:
-                    picture = newer
-                    seen.setdefault(f"{picture.beta:.6f}", picture.made_at)
+                    snapshot = newer
+                    seen.setdefault(f"{snapshot.run.beta:.6f}", snapshot.made_at)
             _answer(seen)
     stop.set()
     thread.join(5.0)
