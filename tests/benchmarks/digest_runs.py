@@ -22,6 +22,7 @@ from digest_source import (
     learner_of,
     load,
     recorder_of,
+    reset,
     rows_of,
     run_of,
     save,
@@ -187,7 +188,7 @@ def history(task: str, lanes: int) -> Parts:
     run.undo()
     run.undo()
     parts["undone"] = run_parts(run)
-    run.reset(change("Reset", 11))
+    reset(run, 11)
     run.advance(50)
     parts["reset"] = run_parts(run)
     return parts

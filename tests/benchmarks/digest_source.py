@@ -7,6 +7,7 @@ its new name beside the old one here: the same file must work with older checkou
 from __future__ import annotations
 
 import importlib
+import inspect
 import re
 from collections.abc import Iterator, Mapping
 from functools import cache
@@ -112,6 +113,12 @@ def run_of(learner: Any, name: str) -> Any:
 
 def change(name: str, *values: Any) -> Any:
     return find(name, near="command|change")(*values)
+
+
+def reset(run: Any, seed: int) -> None:
+    """Start again from another seed; once `Run.reset` took the page's command."""
+    by_seed = "seed" in inspect.signature(run.reset).parameters
+    run.reset(seed=seed) if by_seed else run.reset(change("Reset", seed))
 
 
 def keyframes_of(run: Any) -> Any:
