@@ -14,6 +14,8 @@ from hebbviz.task import Tally, Task
 Array = NDArray[np.float64]
 
 CAPACITY = 512
+OBJECTS_BYTES = 250
+"""Of totals beside their numbers."""
 
 
 def usual_window(task: Task) -> int:
@@ -111,6 +113,11 @@ class History:
     def edges(self, lane: int = 0) -> tuple[Tally, ...]:
         """The totals of a lane at the edges, the first those it began with."""
         return tuple(t.lane(lane) for t in self._edges)
+
+    @property
+    def size(self) -> int:
+        """Bytes of its totals in memory, which its copies share."""
+        return len(self._edges) * (self._edges[-1].sums.nbytes + OBJECTS_BYTES)
 
     def copy(self) -> History:
         return History.of(self.window, self._edges)

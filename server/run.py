@@ -22,7 +22,9 @@ from server.tape import MOST_BYTES, Moment, Tape
 
 MOST_UNDOS = 100
 MOST_UNDO_BYTES = 256_000_000
-"""Of the moments to go back to and the tapes of former runs; with many lanes there are fewer."""
+"""Of the moments to go back to, and the tapes and histories of former runs; with many lanes there
+are fewer.
+"""
 
 MakeTask = Callable[[str, str | None], Task]
 Switch = tuple[str, bool]
@@ -257,11 +259,13 @@ class Run:
             del self._undo[0]
 
     def _remembers_too_much(self) -> bool:
-        """Whether there are too many points to go back to, or they with their tapes are too large;
-        the tape that is being written is not theirs.
+        """Whether there are too many points to go back to, or they with what they keep of former
+        runs are too large; the tape that is being written is not theirs.
         """
         tapes = {id(p.tape): p.tape.size for p in self._undo if p.tape is not self.tape}
-        size = sum(p.moment.size for p in self._undo) + sum(tapes.values())
+        histories = {id(p.log): p.history.size for p in self._undo if p.log is not self.log}
+        moments = sum(p.moment.size for p in self._undo)
+        size = moments + sum(tapes.values()) + sum(histories.values())
         return len(self._undo) > MOST_UNDOS or size > MOST_UNDO_BYTES
 
     def chosen(self, name: str, preset: str | None, hidden: tuple[int, ...] | None) -> Learner:

@@ -10,6 +10,8 @@ from hebbviz.moments import Keyframe
 
 MOST_BYTES = 128_000_000
 """Of moments in memory; with more, every second one goes."""
+OBJECTS_BYTES = 900
+"""Of a moment beside its numbers: of a small network they are most of it."""
 COMPUTED_SECONDS = 0.1
 """Time of computing from one moment to the next, so that each is soon reached."""
 RESTED_SECONDS = 5.0
@@ -35,8 +37,10 @@ class Moment:
 
     @property
     def size(self) -> int:
-        """Bytes."""
-        return self.keyframe.network.nbytes + self.keyframe.world.nbytes
+        """Bytes in memory."""
+        k = self.keyframe
+        numbers = (k.network, k.world, k.gamma, k.memory)
+        return sum(array.nbytes for array in numbers) + OBJECTS_BYTES
 
     @property
     def lane_size(self) -> int:

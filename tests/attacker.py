@@ -35,6 +35,9 @@ class Flood:
 
 
 def setting(widget: Widget, value: object) -> Message:
+    """A value for a widget; a command has none and is run."""
+    if widget.is_command:
+        return {"type": "CommandTriggerMessage", "uuid": widget.uuid}
     return {"type": "GuiUpdateMessage", "uuid": widget.uuid, "updates": {"value": value}}
 
 
@@ -167,8 +170,9 @@ def main(port: int, kind: str, seconds: float) -> None:
         asyncio.run(_run(CROWDS[kind](port, time.monotonic() + seconds)))
         return
     with RawClient(port) as client:
-        client.find("Reset", timeout=30)
-        widgets = {w.label: w for w in client.widgets.values() if w.label}
+        client.find("Record", timeout=30)  # the last that is told of
+        commands_first = sorted(client.widgets.values(), key=lambda w: not w.is_command)
+        widgets = {w.label: w for w in commands_first if w.label}  # a button's label may change
         sys.stdout.write("flooding\n")
         sys.stdout.flush()
         client.decode = False

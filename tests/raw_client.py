@@ -55,6 +55,11 @@ class Widget:
     def label(self) -> str | None:
         return self.props.get("label")
 
+    @property
+    def is_command(self) -> bool:
+        """Whether it is one of the palette; a button may have the same label."""
+        return self.kind == "RegisterCommandMessage"
+
 
 class RawClient:
     """A connection to a viser server, like one of its page's; use it in a `with` statement.
@@ -113,11 +118,12 @@ class RawClient:
     def closed(self) -> bool:
         return self._receiver.done()
 
-    def find(self, label: str, *, timeout: float = 5.0) -> Widget:
-        """The widget or command with this label, once the server has told of it."""
+    def find(self, label: str, *, command: bool = False, timeout: float = 5.0) -> Widget:
+        """The widget or the command with this label, once the server has told of it."""
 
         def named() -> list[Widget]:
-            return [widget for widget in list(self.widgets.values()) if widget.label == label]
+            widgets = list(self.widgets.values())
+            return [w for w in widgets if w.label == label and w.is_command == command]
 
         return self.wait(named, timeout)[-1]
 
@@ -148,7 +154,7 @@ class RawClient:
 
     def trigger(self, command: Widget | str) -> None:
         """Run a command of the palette, or its hotkey."""
-        target = self.find(command) if isinstance(command, str) else command
+        target = self.find(command, command=True) if isinstance(command, str) else command
         self.send({"type": "CommandTriggerMessage", "uuid": target.uuid})
 
     async def _receive(self) -> None:

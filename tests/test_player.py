@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -38,6 +39,7 @@ from server.commands import (
     WatchLane,
 )
 from server.fork import BETA, GAMMA, KINDS, NO_MEMORY, NO_REWARD, OTHER_REWARD, Difference, Fork
+from server.history import History, Totals
 from server.player import Check, Player
 from server.recording.reader import open_recording
 from server.recording.recorder import Recorder
@@ -255,6 +257,33 @@ def test_a_tape_stays_within_its_bytes_and_keeps_its_beginning() -> None:
     kept = {m.step for s in range(500) if (m := tape.before(s)) is not None}
     assert max(np.diff(sorted(kept))) <= 64, "those that are left are spread over the whole run"
     assert tape.until(100).before(10**9) == tape.before(100)
+
+
+@pytest.mark.parametrize("task", ["synapse", "pendulum"])
+def test_a_moments_size_is_what_it_takes(task: str) -> None:
+    """A small network's moments are mostly objects, of which many would not count as much."""
+    learner = Learner(make_task(task))
+    learner.advance(10)
+    learner.keyframe()
+    tracemalloc.start()
+    moments = [Moment(learner.keyframe(), 0) for _ in range(200)]
+    taken = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert taken < 200 * moments[0].size < 1.25 * taken
+
+
+def test_histories_of_former_runs_are_forgotten_before_they_take_all_memory(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = new_run()
+    monkeypatch.setattr("server.run.MOST_UNDO_BYTES", 4_000_000)
+    for _ in range(12):
+        edges = [Totals(k, np.zeros((3, 512))) for k in range(80)]  # as of so many lanes
+        run.become(run.learner, history=History.of(1, edges), log=[], tape=None, words="so")
+    undone = 0
+    while run.undo() is not None:
+        undone += 1
+    assert undone == 4, "of 1 MB each, and the first had none"
 
 
 def test_former_runs_are_forgotten_before_they_take_all_memory(

@@ -8,7 +8,9 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import rerun as rr
 from raw_client import wait_until
@@ -18,6 +20,7 @@ from hebbviz.learner import Learner
 from server.recording import streams
 from server.recording.reader import open_recording
 from server.recording.recordings import Options, Recordings
+from server.recording.rows import Rows, scalars
 from server.recording.streams import Stream
 from server.run import Run
 from sims.loading import make_task
@@ -93,22 +96,58 @@ def measured(folder: Path) -> list[list[float]]:
     return found
 
 
+def in_a_process_of_its_own(name: str, folder: Path) -> Any:
+    """What a function of this module returns of a folder."""
+    program = (
+        "import sys, json, pathlib; sys.path[:0] = ['tests', '.']; import server.recording;"
+        " import test_recording_streams as t; measure = getattr(t, sys.argv[1]);"
+        " print(json.dumps(measure(pathlib.Path(sys.argv[2]))))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, name, str(folder)], cwd=ROOT, capture_output=True,
+        text=True, check=True, timeout=300,
+    )  # fmt: skip
+    return json.loads(done.stdout)
+
+
 @linux
 @pytest.mark.slow
 def test_threads_and_memory_stay_as_they_are(tmp_path: Path) -> None:
-    program = (
-        "import sys, json, pathlib; sys.path[:0] = ['tests', '.']; import test_recording_streams"
-        " as t; print(json.dumps(t.measured(pathlib.Path(sys.argv[1]))))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program, str(tmp_path)], cwd=ROOT, capture_output=True, text=True,
-        check=True, timeout=300,
-    )  # fmt: skip
-    first, recorded, reset, again = json.loads(done.stdout)
+    first, recorded, reset, again = in_a_process_of_its_own("measured", tmp_path)
     assert recorded[0] <= first[0] + 1
     assert again[0] <= reset[0] + 1
     assert recorded[1] < first[1] + 30.0, "50 of 1.6 MB each would be 80"
     assert again[1] < reset[1] + 30.0
+
+
+def anonymous_memory() -> float:
+    """MB of this process that no file stands behind."""
+    words = Path("/proc/self/status").read_text()
+    return int(words.partition("RssAnon:")[2].split()[0]) / 1000
+
+
+def kept_of_what_was_sent(folder: Path) -> float:
+    """MB more than before, once chunks of ever more rows have passed through a stream."""
+    stream = Stream()
+    stream.set_sinks(rr.FileSink(folder / "run.rrd", write_footer=False))
+    rows = Rows(stream, None)
+
+    def send(count: int) -> None:
+        rows.add("numbers", np.arange(count), np.random.default_rng(0).random(count), scalars)
+        rows.flush()
+        stream.flush(timeout_sec=30.0)
+
+    for _ in range(20):
+        send(1000)
+    before = anonymous_memory()
+    for thousands in range(1, 180, 5):
+        send(1000 * thousands)
+    return anonymous_memory() - before
+
+
+@linux
+def test_what_has_passed_through_a_stream_leaves_no_memory(tmp_path: Path) -> None:
+    assert in_a_process_of_its_own("kept_of_what_was_sent", tmp_path) < 20.0, "of 40 MB"
 
 
 def test_one_that_is_held_up_is_left_alone_and_holds_up_no_other(

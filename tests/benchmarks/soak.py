@@ -6,7 +6,8 @@
 `hebbviz --record` runs at full speed. Eight clients watch it, of which one is always leaving and
 coming again, and they move sliders, give rewards, reset and undo; a tab in Chromium shows the page.
 After the first third (5 minutes of 15) the process has what it needs: its threads and files must
-then stay as many (but for viser's pool of them), and its memory flat.
+then stay as many (but for viser's pool of them), and its memory flat. Its stores for rewinding and
+undoing are bounded at 128 and 256 MB and would fill up all the while: here they hold 1 MB each.
 """
 
 from __future__ import annotations
@@ -38,8 +39,15 @@ CLIENTS = 8
 STAY_SECONDS = 10.0
 """A client that comes and goes stays so long."""
 SAMPLE_SECONDS = 2.0
-GROWN_MB = 15.0
-"""Keyframes for rewinding take some, bounded by 128 MB; more since the first third is a leak."""
+GROWN_MB = 10.0
+"""More since the first third is a leak; the allocators' pools and the page's log take some."""
+PROGRAM = """
+import server.run
+from server.cli.main import program
+server.run.MOST_BYTES = server.run.MOST_UNDO_BYTES = 1_000_000
+program()
+"""
+"""The stores for rewinding and undoing are full within a minute; they would fill up for an hour."""
 POOL = 32
 """viser's callbacks run in so many threads at most, which come as they are needed."""
 LOST_SECONDS = 60.0
@@ -102,13 +110,13 @@ class Visitor(threading.Thread):
         elif chance < 0.97:
             client.send_value("reward", self._random.choice(["+ reward", "− punishment"]))
         else:
-            client.press(self._random.choice(["Undo", "Reset"]))
+            client.trigger("Undo" if chance < 0.997 else "Reset")
 
 
 @contextlib.contextmanager
 def served(recording: Path, said: Path) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
-    """The program as a user starts it, and its port; what it says goes into a file."""
-    program = [sys.executable, "-m", "hebbviz", "--no-browser", "--port", "0"]
+    """The program with small stores, and its port; what it says goes into a file."""
+    program = [sys.executable, "-c", PROGRAM, "--no-browser", "--port", "0"]
     with said.open("wb") as out, subprocess.Popen(
         [*program, "--record", str(recording)], cwd=ROOT, stdout=out, stderr=subprocess.STDOUT
     ) as process:  # fmt: skip
