@@ -4,12 +4,13 @@ prepared.
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import threading
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from types import FrameType
 
 SIGNALS = tuple(
@@ -18,6 +19,30 @@ SIGNALS = tuple(
 """The last, of a terminal that is closed, is unknown to Windows."""
 
 T = TypeVar("T")
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal of this number came."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number = number
+
+
+@contextlib.contextmanager
+def raising() -> Iterator[None]:
+    """Each signal raises `Stopped` in here, so that what was begun is undone and nothing is left of
+    it; for commands that do one thing in the main thread.
+    """
+
+    def stop(number: int, _: FrameType | None) -> None:
+        raise Stopped(number)
+
+    before = _taken(stop)
+    try:
+        yield
+    finally:
+        _put_back(before)
 
 
 class Interrupts:
@@ -36,13 +61,11 @@ class Interrupts:
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Interrupts:
-        if threading.current_thread() is threading.main_thread():
-            self._before = {s: signal.signal(s, self._take) for s in SIGNALS if not _is_ignored(s)}
+        self._before = _taken(self._take)
         return self
 
     def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+        _put_back(self._before)
 
     def prepare(self, make: Callable[[], T], *, grace: float = 0.0) -> T:
         """What `make` returns, or KeyboardInterrupt as soon as `stop` is set.
@@ -79,6 +102,18 @@ class Interrupts:
             raise KeyboardInterrupt
         self.number = number
         self.stop.set()
+
+
+def _taken(handler: Callable[[int, FrameType | None], None]) -> dict[signal.Signals, Any]:
+    """Have the signals handled, and give what was there before; in a thread none are."""
+    if threading.current_thread() is not threading.main_thread():
+        return {}
+    return {s: signal.signal(s, handler) for s in SIGNALS if not _is_ignored(s)}
+
+
+def _put_back(handlers: dict[signal.Signals, Any]) -> None:
+    for number, handler in handlers.items():
+        signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
 
 def _is_ignored(number: signal.Signals) -> bool:

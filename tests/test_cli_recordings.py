@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from raw_client import wait_until
 
 from hebbviz.learner import Learner
 from server.cli.main import main
@@ -76,6 +77,21 @@ def test_export_writes_what_it_says(
     block = learner.advance(40)
     with np.load(tmp_path / "out" / "every-step.npz") as found:
         assert np.array_equal(found["fired"], block.fired[9:39])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_an_export_that_is_stopped_leaves_nothing(
+    folder: Path, tmp_path: Path, number: signal.Signals
+) -> None:
+    arguments = ("export", str(folder / "pole.rrd"), "--out", str(tmp_path / "out"))
+    every = (*HEBBVIZ, *arguments, "--every-step", "1:3000")
+    with subprocess.Popen(every, cwd=ROOT, stderr=subprocess.PIPE, text=True) as process:
+        wait_until(lambda: list(tmp_path.iterdir()), PATIENCE)  # it has begun to write
+        process.send_signal(number)
+        assert process.wait(PATIENCE) == 128 + number
+        assert process.stderr is not None
+        assert process.stderr.read() == "hebbviz: stopped at once\n"
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("command", ["replay", "export"])

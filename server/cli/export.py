@@ -10,6 +10,7 @@ from typing import Any
 
 from hebbviz.limits import MOST_STEPS
 from server.cli.arguments import add_own_rule, add_own_task, add_recorded, path
+from server.interrupts import raising
 from server.making import asked_rule, saved_task
 from server.numbers import whole
 from server.terminal import FINE, prints_aside, say, tell, user_can_mend
@@ -42,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     from server.recording.export import export_steps, export_timelines
     from server.recording.reader import open_recording
 
-    with user_can_mend(args), prints_aside():
+    with raising(), user_can_mend(args), prints_aside():
         asked_rule(args)
         recording = open_recording(args.file)
         if recording.notice:

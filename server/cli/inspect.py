@@ -9,6 +9,7 @@ import json
 from typing import Any
 
 from server.cli.arguments import add_own_rule, add_recorded
+from server.interrupts import raising
 from server.making import asked_rule
 from server.terminal import FINE, prints_aside, say, user_can_mend
 
@@ -32,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     from server.recording.inspect import describe, figures
     from server.recording.reader import open_recording
 
-    with user_can_mend(args), prints_aside():
+    with raising(), user_can_mend(args), prints_aside():
         asked_rule(args)
         recording = open_recording(args.file)
     found = figures(recording)

@@ -59,8 +59,9 @@ def _obey(argv: list[str]) -> int:
         return int(done.code or 0)
     except (InputError, CompilerOff) as error:
         return fail(BAD_INPUT, str(error))
-    except KeyboardInterrupt:  # a second Ctrl-C
-        return fail(128 + signal.SIGINT, "stopped at once")
+    except KeyboardInterrupt as stopped:  # a second Ctrl-C, or a `Stopped`
+        number: int = getattr(stopped, "number", signal.SIGINT)
+        return fail(128 + number, "stopped at once")
     except Exception as error:
         if os.environ.get("HEBBVIZ_TRACEBACK"):
             traceback.print_exc()
