@@ -156,7 +156,8 @@ def faults(samples: list[Sample], seconds: float) -> Iterator[str]:
     later = [s for s in samples if s.at >= seconds / 3]
     half = len(later) // 2
     first, last = later[:half], later[half:]
-    before, after = (max(s.files for s in part) for part in (first, last))
+    # the middle one, for two recordings overlap for a moment when a run is reset or undone
+    before, after = (statistics.median_low([s.files for s in part]) for part in (first, last))
     if after > before:
         yield f"files: {before}, and later {after}"
     most = max(s.threads for s in samples)
