@@ -3,6 +3,6 @@ alone, when it is run.
 """
 
 if __name__ == "__main__":
-    from server.cli.main import program
+    from hebbviz.server.cli.main import program
 
     program()

@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.chance import SPIKES, uniforms
+from hebbviz.numerics.counter_rng import SPIKES, uniforms
 from hebbviz.topology import Topology
 
 Array = NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from server.app import serve
+    from hebbviz.server.app import serve
 
 __all__ = ["serve"]
 
@@ -13,7 +13,7 @@ __all__ = ["serve"]
 def __getattr__(name: str) -> Any:
     """`serve`, when it is asked for: viser and numba take their time to import."""
     if name == "serve":
-        from server.app import serve  # noqa: PLC0415
+        from hebbviz.server.app import serve  # noqa: PLC0415
 
         return serve
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

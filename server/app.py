@@ -8,25 +8,26 @@ import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from server import guard, words
-from server.commands import SetSpeed
-from server.entrance import EVERYWHERE, Access, Role
-from server.interrupts import Interrupts
-from server.making import maker
-from server.output import Stream
-from server.page import Page
-from server.recording.recordings import Options, Recordings
-from server.run import Run
-from server.session import Session
-from server.tempo import REALTIME, check_speed
-from server.train import announced_compiling, warm_up
-from server.window import open_window
-from server.worker import Worker
+from hebbviz.server.cli.training import announced_compiling, warm_up
+from hebbviz.server.live.commands import SetSpeed
+from hebbviz.server.live.pacing import REALTIME, check_speed
+from hebbviz.server.live.session import Session
+from hebbviz.server.live.worker import Worker
+from hebbviz.server.page import status_text
+from hebbviz.server.page.page import Page
+from hebbviz.server.recording.recordings import Options, Recordings
+from hebbviz.server.run.run import Run
+from hebbviz.server.web import guard
+from hebbviz.server.web.access import EVERYWHERE, Access, Role
+from hebbviz.server.web.browser_window import open_window
+from hebbviz.sims.program.interrupts import Interrupts
+from hebbviz.sims.program.learner_from_arguments import maker
+from hebbviz.sims.program.output import Stream
 
 if TYPE_CHECKING:
-    from hebbviz.learner import Learner
-    from hebbviz.task import Task
-    from server.tempo import Speed
+    from hebbviz.learner.learner import Learner
+    from hebbviz.server.live.pacing import Speed
+    from hebbviz.task.base import Task
 
 DEFAULT_PORT = 8080
 SHUTDOWN_SECONDS = 1.0
@@ -192,7 +193,7 @@ class Site:
             _say(f"stopped at step {self._run.learner.step:,}{f', for {error}' if error else ''}")
         status = None if self._recordings is None else self._recordings.status
         if status is not None and status.error is None:
-            _say(f"recorded {words.recorded(status)} in {status.where}")
+            _say(f"recorded {status_text.recorded(status)} in {status.where}")
 
     def _say_notice(self, text: str) -> None:
         """What must be known on the terminal too."""

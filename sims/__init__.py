@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from hebbviz.task import Task
+from hebbviz.task.base import Task
 
 TASKS = {
     "pendulum": "Pendulum",
@@ -24,5 +24,5 @@ def task_class(name: str) -> type[Task]:
             f"there is no task {name!r}; choose from {', '.join(TASKS)}, "
             "or give your own as path.py:Name"
         )
-    found: type[Task] = getattr(import_module(f"sims.{name}"), TASKS[name])
+    found: type[Task] = getattr(import_module(f"hebbviz.sims.{name}"), TASKS[name])
     return found

@@ -20,13 +20,13 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.finite_world import NOTHING, FiniteWorld
-from hebbviz.learner import Learner
-from hebbviz.pomdp import POMDP
-from hebbviz.task import Input, Measure, Output, Pose, Preset, Prop, Reading, Tally
+from hebbviz.learner.learner import Learner
+from hebbviz.sims import strip_chart
+from hebbviz.sims.strip_chart import Row
+from hebbviz.task.base import Input, Measure, Output, Pose, Preset, Prop, Reading, Tally
+from hebbviz.task.finite import NOTHING, FiniteWorld
+from hebbviz.theory.pomdp import POMDP
 from hebbviz.topology import Projection, Topology
-from sims import strip
-from sims.strip import Row
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -41,7 +41,7 @@ _TILE, _SMALL, _DEEP = 0.2, 0.09, 0.1
 """Width and height of a tile, height of one that is wrong, and depth, in scene units."""
 _SWING = 0.15
 """How far above or below the middle of its row a tile is."""
-_BOARD, _BOARD_AT = (strip.WIDTH, 0.06, 2.0), (0.0, 0.0, 1.0)
+_BOARD, _BOARD_AT = (strip_chart.WIDTH, 0.06, 2.0), (0.0, 0.0, 1.0)
 _ROWS = tuple(
     Row(name, "box", ("negative", "positive"), COLUMNS, -0.08, (z - _SWING, z + _SWING))
     for name, z in (("signal", 1.62), ("seen", 1.0), ("answer", 0.38))
@@ -120,14 +120,14 @@ class Filtering(FiniteWorld):
         position, rotation, scale = self.poses(state[None])
         return Pose(position[0], rotation[0], scale[0], words=self._words(state))
 
-    def poses(self, states: Array) -> strip.Poses:
+    def poses(self, states: Array) -> strip_chart.Poses:
         traces = self.traces(states)
-        board = strip.upright(*(np.tile(a, (len(states), 1, 1)) for a in (_BOARD_AT, _BOARD)))
+        board = strip_chart.upright(*(np.tile(a, (len(states), 1, 1)) for a in (_BOARD_AT, _BOARD)))
         rows = [
             row.poses(sign, _sizes(sign == traces[0]))
             for row, sign in zip(_ROWS, traces, strict=True)
         ]
-        return strip.together(board, *rows)
+        return strip_chart.together(board, *rows)
 
     def _words(self, state: Array) -> str:
         signal, seen, answer = (int(x) for x in self.read(state[None])[0])

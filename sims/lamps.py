@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.exact import ExactNetwork
-from hebbviz.finite_world import FiniteWorld
-from hebbviz.pomdp import POMDP
-from hebbviz.task import Input, Output, Preset
+from hebbviz.task.base import Input, Output, Preset
+from hebbviz.task.finite import FiniteWorld
+from hebbviz.theory.network_chain import ExactNetwork
+from hebbviz.theory.pomdp import POMDP
 from hebbviz.topology import Topology
 
 Array = NDArray[np.float64]

@@ -12,12 +12,12 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, TypeVar
 
-from hebbviz.learner import TaskError
-from hebbviz.rules import Rule, make_rule, register
-from hebbviz.switches import UnknownPreset
-from hebbviz.task import Input, Output, Preset, Task
-from sims import task_class
-from sims.own import neighbours, own_file
+from hebbviz.learner.learner import TaskError
+from hebbviz.rules.base import Rule, make_rule, register
+from hebbviz.sims import task_class
+from hebbviz.sims.user_file import neighbours, own_file
+from hebbviz.task.base import Input, Output, Preset, Task
+from hebbviz.task.switches import UnknownPreset
 
 T = TypeVar("T")
 

@@ -24,13 +24,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.finite_world import NOTHING, FiniteWorld
-from hebbviz.learner import Learner
-from hebbviz.pomdp import POMDP
-from hebbviz.task import Input, Measure, Output, Pose, Preset, Prop, Reading, Tally
+from hebbviz.learner.learner import Learner
+from hebbviz.sims import strip_chart
+from hebbviz.sims.strip_chart import Row
+from hebbviz.task.base import Input, Measure, Output, Pose, Preset, Prop, Reading, Tally
+from hebbviz.task.finite import NOTHING, FiniteWorld
+from hebbviz.theory.pomdp import POMDP
 from hebbviz.topology import Projection, Topology
-from sims import strip
-from sims.strip import Row
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -55,7 +55,7 @@ _WAS, _SAID = (
     Row(name, "sphere", _COLORS, COLUMNS, y, 3 * (_BALL / 2,))
     for name, y in (("light", -0.35), ("said", -1.0))
 )
-_FLOOR, _POST = (strip.WIDTH, 2.7, 0.04), (0.56, 0.3, 1.5)
+_FLOOR, _POST = (strip_chart.WIDTH, 2.7, 0.04), (0.56, 0.3, 1.5)
 _STANDING_AT = np.array(
     [(0.0, 0.0, -0.02), (0.0, 0.75, 0.75), *((0.0, 0.6, z) for z in (1.22, 0.76, 0.3))]
 )
@@ -148,24 +148,24 @@ class Prediction(FiniteWorld):
         words = f"it is **{LIGHTS[light]}**{f', {verdict}' if said != NOTHING else ''}"
         return Pose(position[0], rotation[0], scale[0], words)
 
-    def poses(self, states: Array) -> strip.Poses:
+    def poses(self, states: Array) -> strip_chart.Poses:
         light, said = self.symbols(states)
         size = np.where(light == said, _BALL, _SMALL)[..., None]
-        return strip.together(
+        return strip_chart.together(
             _traffic_light(light[:, -1]),
             _WAS.poses(light, np.full((*light.shape, 3), _BALL)),
             _SAID.poses(said, np.repeat(size, 3, axis=-1)),
         )
 
 
-def _traffic_light(light: Whole) -> strip.Poses:
+def _traffic_light(light: Whole) -> strip_chart.Poses:
     """The floor, the post, three dark lamps, and three lit ones, of which one (n,) is seen."""
     lamps = _STANDING_AT[2:]
     scale = np.full((len(light), 8, 3), 0.9 * _LAMP)
     scale[:, 0], scale[:, 1] = _FLOOR, _POST
     scale[:, 5:] = np.where(light[:, None] == range(3), _LAMP, 0.0)[..., None]
     position = np.tile(np.vstack([_STANDING_AT, lamps]), (len(light), 1, 1))
-    return strip.upright(position, scale)
+    return strip_chart.upright(position, scale)
 
 
 def _references() -> dict[str, float]:

@@ -19,14 +19,24 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.chance import WORLD, Draws, four_uniforms
-from hebbviz.compiled import called, compiled, inlined, row
-from hebbviz.engine import WORLD as WORLD_SIGNATURE
-from hebbviz.layout import WIDTHS
-from hebbviz.learner import Learner
+from hebbviz.engine.layout import WIDTHS
+from hebbviz.engine.loop import WORLD as WORLD_SIGNATURE
+from hebbviz.learner.learner import Learner
 from hebbviz.limits import check_places
-from hebbviz.switches import Switch
-from hebbviz.task import CompiledTask, Input, Measure, Output, Pose, Preset, Reading, Score, Tally
+from hebbviz.numerics.compile import called, compiled, inlined, row
+from hebbviz.numerics.counter_rng import WORLD, Draws, four_uniforms
+from hebbviz.task.base import (
+    CompiledTask,
+    Input,
+    Measure,
+    Output,
+    Pose,
+    Preset,
+    Reading,
+    Score,
+    Tally,
+)
+from hebbviz.task.switches import Switch
 
 Array = NDArray[np.float64]
 
@@ -57,7 +67,7 @@ _HOLD = ENERGIES + 1
 @cache
 def load() -> Array:
     """The data, (208, 61): the energies, then +1 for a mine or -1 for a rock."""
-    rows = files("sims").joinpath("data/sonar.csv").read_text().split()
+    rows = files("hebbviz.sims").joinpath("data/sonar.csv").read_text().split()
     split = [row.rsplit(",", 1) for row in rows]
     energies = np.array([[float(x) for x in e.split(",")] for e, _ in split])
     labels = np.array([[MINE if label == "M" else ROCK] for _, label in split])
@@ -134,7 +144,7 @@ def _show(world, width, data, observation):  # type: ignore[no-untyped-def]
 
 @called(WORLD_SIGNATURE)
 def answer(world, action, data, keys, step, observation, reward, ended):  # type: ignore[no-untyped-def]
-    """The world's step for all lanes, see `engine.WORLD`."""
+    """The world's step for all lanes, see `loop.WORLD`."""
     lanes = world.shape[1]
     if lanes == WIDTHS[-1]:  # a constant lets the compiler compute several lanes at once
         is_over = _judge(world, WIDTHS[-1], data, action, reward)

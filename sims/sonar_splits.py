@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.chance import Draws
-from sims.sonar import TRAINING, Sonar
+from hebbviz.numerics.counter_rng import Draws
+from hebbviz.sims.sonar import TRAINING, Sonar
 
 Array = NDArray[np.float64]
 

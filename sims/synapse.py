@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.task import Control, Output, Pose, Preset, Task
+from hebbviz.task.base import Control, Output, Pose, Preset, Task
 from hebbviz.topology import BINARY, Group, Projection, Topology
 
 Array = NDArray[np.float64]

@@ -5,6 +5,7 @@ Property tests have the same examples each time, and no search for smaller ones.
 
 import os
 import signal
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -27,6 +28,13 @@ settings.register_profile(
     phases=(Phase.explicit, Phase.generate),
 )
 settings.load_profile("hebbviz")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def nothing_has_a_second_name() -> Iterator[None]:
+    """In a checkout `import server` works too, and would make every module a second time."""
+    yield
+    assert {"server", "sims"} & sys.modules.keys() == set()
 
 
 @pytest.fixture(scope="session")

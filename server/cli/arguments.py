@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from hebbviz.limits import MOST_STEPS
-from server.making import DEFAULT_TASK
-from server.numbers import about_commas, whole
-from server.terminal import InputError
+from hebbviz.sims.program.learner_from_arguments import DEFAULT_TASK
+from hebbviz.sims.program.terminal import InputError
+from hebbviz.sims.program.typed_numbers import about_commas, whole
 
 if TYPE_CHECKING:
-    from server.entrance import Access
-    from server.recording.recordings import Options
+    from hebbviz.server.recording.recordings import Options
+    from hebbviz.server.web.access import Access
 
 EPILOG = "The rule, the presets and how to write a task of your own are in the README."
 INTERRUPTED = "Exit code 130, 143 or 129 if Ctrl-C, SIGTERM or SIGHUP ended it."
@@ -293,7 +293,7 @@ def add_access(parser: argparse.ArgumentParser) -> None:
 
 
 def allowed_host(text: str) -> str:
-    from server.entrance import allowed_name
+    from hebbviz.server.web.access import allowed_name
 
     try:
         return str(allowed_name(text))
@@ -302,7 +302,7 @@ def allowed_host(text: str) -> str:
 
 
 def access_of(args: argparse.Namespace) -> Access:
-    from server.entrance import Access
+    from hebbviz.server.web.access import Access
 
     return Access(tuple(args.allow_host), args.token)
 
@@ -330,7 +330,7 @@ def add_recording(parser: argparse.ArgumentParser) -> None:
 
 
 def budget(text: str) -> int:
-    from server.recording.thinning import parse_budget
+    from hebbviz.server.run.thinning import parse_budget
 
     try:
         return parse_budget(text)
@@ -339,7 +339,7 @@ def budget(text: str) -> int:
 
 
 def recording_options(args: argparse.Namespace) -> Options:
-    from server.recording.recordings import Options
+    from hebbviz.server.recording.recordings import Options
 
     given = {name: getattr(args, name) for name in ("budget", "detail") if getattr(args, name)}
     return Options(

@@ -9,11 +9,11 @@ import json
 import signal
 from typing import TYPE_CHECKING, Any
 
-from server.cli.arguments import positive
-from server.terminal import FINE, leave, say, tell
+from hebbviz.server.cli.arguments import positive
+from hebbviz.sims.program.terminal import FINE, leave, say, tell
 
 if TYPE_CHECKING:
-    from server.bench import Speed
+    from hebbviz.server.cli.speeds import Speed
 
 
 def add(commands: Any) -> None:
@@ -38,9 +38,9 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure speeds."""
-    from server.bench import contestants, figures, race, table
-    from server.interrupts import Interrupts
-    from server.train import announced_compiling
+    from hebbviz.server.cli.speeds import contestants, figures, race, table
+    from hebbviz.server.cli.training import announced_compiling
+    from hebbviz.sims.program.interrupts import Interrupts
 
     def work() -> dict[str, Speed]:
         with announced_compiling(lambda: tell("compiling for this machine, only this first time")):

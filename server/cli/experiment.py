@@ -10,7 +10,7 @@ import signal
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from server.terminal import (
+from hebbviz.sims.program.terminal import (
     FAILED,
     FINE,
     WorkersFailed,
@@ -33,7 +33,7 @@ def run_experiment(
     args: argparse.Namespace, work: Callable[[threading.Event], dict[str, Any] | None]
 ) -> int:
     """Do a long work and print what it comes to; `work` returns None if it was stopped."""
-    from server.interrupts import Interrupts
+    from hebbviz.sims.program.interrupts import Interrupts
 
     kept = f"the same command goes on from what is kept in {args.out}"
     with Interrupts() as interrupts:

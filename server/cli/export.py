@@ -9,11 +9,11 @@ import contextlib
 from typing import Any
 
 from hebbviz.limits import MOST_STEPS
-from server.cli.arguments import add_own_rule, add_own_task, add_recorded, path
-from server.interrupts import raising
-from server.making import asked_rule, saved_task
-from server.numbers import whole
-from server.terminal import FINE, prints_aside, say, tell, user_can_mend
+from hebbviz.server.cli.arguments import add_own_rule, add_own_task, add_recorded, path
+from hebbviz.sims.program.interrupts import raising
+from hebbviz.sims.program.learner_from_arguments import asked_rule, saved_task
+from hebbviz.sims.program.terminal import FINE, prints_aside, say, tell, user_can_mend
+from hebbviz.sims.program.typed_numbers import whole
 
 
 def add(commands: Any) -> None:
@@ -40,8 +40,8 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write a recording's timelines as npz and CSV."""
-    from server.recording.export import export_steps, export_timelines
-    from server.recording.reader import open_recording
+    from hebbviz.server.recording.export import export_steps, export_timelines
+    from hebbviz.server.recording.reader import open_recording
 
     with raising(), user_can_mend(args), prints_aside():
         asked_rule(args)

@@ -8,7 +8,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from hebbviz.limits import MOST_LANES
-from server.cli.arguments import (
+from hebbviz.server.cli.arguments import (
     EPILOG,
     INTERRUPTED,
     add_hidden,
@@ -19,14 +19,14 @@ from server.cli.arguments import (
     path,
     whole_number,
 )
-from server.cli.experiment import run_experiment
+from hebbviz.server.cli.experiment import run_experiment
 
 if TYPE_CHECKING:
     import threading
 
 
 def add(commands: Any) -> None:
-    from server.figures.order import KINDS
+    from hebbviz.sims.figures.request import KINDS
 
     figure = commands.add_parser(
         "figure",
@@ -83,8 +83,8 @@ def run(args: argparse.Namespace) -> int:
     """Make one of the paper's figures."""
 
     def work(stop: threading.Event) -> dict[str, Any] | None:
-        from server.figures.command import make
-        from server.figures.order import Order
+        from hebbviz.sims.figures.request import Order
+        from hebbviz.sims.figures.run_figure import make
 
         return make(Order.of(args), stop)
 

@@ -8,10 +8,10 @@ import argparse
 import json
 from typing import Any
 
-from server.cli.arguments import add_own_rule, add_recorded
-from server.interrupts import raising
-from server.making import asked_rule
-from server.terminal import FINE, prints_aside, say, user_can_mend
+from hebbviz.server.cli.arguments import add_own_rule, add_recorded
+from hebbviz.sims.program.interrupts import raising
+from hebbviz.sims.program.learner_from_arguments import asked_rule
+from hebbviz.sims.program.terminal import FINE, prints_aside, say, user_can_mend
 
 
 def add(commands: Any) -> None:
@@ -30,8 +30,8 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Say what is in a recording."""
-    from server.recording.inspect import describe, figures
-    from server.recording.reader import open_recording
+    from hebbviz.server.recording.inspect import describe, figures
+    from hebbviz.server.recording.reader import open_recording
 
     with raising(), user_can_mend(args), prints_aside():
         asked_rule(args)

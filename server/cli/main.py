@@ -21,10 +21,10 @@ from typing import NoReturn
 
 from hebbviz import __version__
 from hebbviz.limits import CompilerOff
-from server.cli import bench, export, figure, inspect, replay, serve, sweep, train, view
-from server.cli.arguments import EPILOG, Parser, joined
-from server.output import spared
-from server.terminal import BAD_INPUT, FAILED, FINE, InputError, fail
+from hebbviz.server.cli import bench, export, figure, inspect, replay, serve, sweep, train, view
+from hebbviz.server.cli.arguments import EPILOG, Parser, joined
+from hebbviz.sims.program.output import spared
+from hebbviz.sims.program.terminal import BAD_INPUT, FAILED, FINE, InputError, fail
 
 COMMANDS = (serve, train, replay, view, inspect, export, figure, sweep, bench)
 

@@ -8,19 +8,19 @@ import argparse
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from server.terminal import FINE, leave, say, user_can_mend
+from hebbviz.sims.program.terminal import FINE, leave, say, user_can_mend
 
 if TYPE_CHECKING:
-    from server.app import Site
+    from hebbviz.server.app import Site
 
 
 def show_page(args: argparse.Namespace, prepare: Callable[[], Site]) -> int:
     """Show the page of a site until Ctrl-C or SIGTERM."""
-    from server.interrupts import Interrupts
+    from hebbviz.sims.program.interrupts import Interrupts
 
     def prepare_aloud() -> Site:
-        from server.app import COMPILING
-        from server.train import announced_compiling
+        from hebbviz.server.app import COMPILING
+        from hebbviz.server.cli.training import announced_compiling
 
         with announced_compiling(lambda: say(COMPILING)):
             return prepare()

@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from server.cli.arguments import (
+from hebbviz.server.cli.arguments import (
     EPILOG,
     access_of,
     add_own_rule,
@@ -15,12 +15,12 @@ from server.cli.arguments import (
     add_page,
     add_recorded,
 )
-from server.cli.page import show_page
-from server.making import asked_rule, maker, saved_task
-from server.terminal import tell
+from hebbviz.server.cli.page import show_page
+from hebbviz.sims.program.learner_from_arguments import asked_rule, maker, saved_task
+from hebbviz.sims.program.terminal import tell
 
 if TYPE_CHECKING:
-    from server.app import Site
+    from hebbviz.server.app import Site
 
 
 def add(commands: Any) -> None:
@@ -43,9 +43,9 @@ def run(args: argparse.Namespace) -> int:
     """Open the page with a recording."""
 
     def prepare() -> Site:
-        from server.app import Site
-        from server.recording.reader import open_recording
-        from server.recording.recordings import Options
+        from hebbviz.server.app import Site
+        from hebbviz.server.recording.reader import open_recording
+        from hebbviz.server.recording.recordings import Options
 
         asked_rule(args)
         recording = open_recording(args.file)

@@ -9,7 +9,7 @@ import contextlib
 import math
 from typing import TYPE_CHECKING, Any
 
-from server.cli.arguments import (
+from hebbviz.server.cli.arguments import (
     EPILOG,
     access_of,
     add_learner,
@@ -18,13 +18,13 @@ from server.cli.arguments import (
     recording_options,
     whole_number,
 )
-from server.cli.page import show_page
-from server.making import MOST_SHOWN_LANES, make_learner, task_name
-from server.numbers import about_commas
+from hebbviz.server.cli.page import show_page
+from hebbviz.sims.program.learner_from_arguments import MOST_SHOWN_LANES, make_learner, task_name
+from hebbviz.sims.program.typed_numbers import about_commas
 
 if TYPE_CHECKING:
-    from server.app import Site
-    from server.tempo import Speed
+    from hebbviz.server.app import Site
+    from hebbviz.server.live.pacing import Speed
 
 
 def add(commands: Any) -> None:
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     """Open the page and learn live."""
 
     def prepare() -> Site:
-        from server.app import Site, check_start
+        from hebbviz.server.app import Site, check_start
 
         learner = make_learner(args)
         check_start(learner.task, args.speed)

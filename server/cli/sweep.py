@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hebbviz.limits import MOST_LANES
-from server.cli.arguments import (
+from hebbviz.server.cli.arguments import (
     EPILOG,
     INTERRUPTED,
     add_length,
@@ -20,7 +20,7 @@ from server.cli.arguments import (
     path,
     whole_number,
 )
-from server.cli.experiment import run_experiment
+from hebbviz.server.cli.experiment import run_experiment
 
 if TYPE_CHECKING:
     import threading
@@ -84,8 +84,8 @@ def run(args: argparse.Namespace) -> int:
     """Map β against γ."""
 
     def work(stop: threading.Event) -> dict[str, Any] | None:
-        from server.sweep.command import make
-        from server.sweep.grid import Sweep
+        from hebbviz.sims.sweep.grid import Sweep
+        from hebbviz.sims.sweep.run_sweep import make
 
         return make(Sweep.of(args), args.out, stop, scheduler=args.scheduler)
 
@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
 
 def values(parser: str) -> Callable[[str], tuple[float, ...]]:
     def parse(text: str) -> tuple[float, ...]:
-        from server.sweep import grid
+        from hebbviz.sims.sweep import grid
 
         try:
             values: tuple[float, ...] = getattr(grid, parser)(text)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hebbviz.limits import MOST_STEPS
-from server.cli.arguments import (
+from hebbviz.server.cli.arguments import (
     EPILOG,
     INTERRUPTED,
     add_learner,
@@ -20,8 +20,8 @@ from server.cli.arguments import (
     recording_options,
     whole_number,
 )
-from server.making import make_learner, saved_file, task_name
-from server.terminal import (
+from hebbviz.sims.program.learner_from_arguments import make_learner, saved_file, task_name
+from hebbviz.sims.program.terminal import (
     FAILED,
     FINE,
     InputError,
@@ -36,9 +36,9 @@ from server.terminal import (
 )
 
 if TYPE_CHECKING:
-    from hebbviz.learner import Learner
-    from server.interrupts import Interrupts
-    from server.train import Steps, Training
+    from hebbviz.learner.learner import Learner
+    from hebbviz.server.cli.training import Steps, Training
+    from hebbviz.sims.program.interrupts import Interrupts
 
 
 def add(commands: Any) -> None:
@@ -70,12 +70,12 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Learn without a page."""
-    from server.interrupts import Interrupts
+    from hebbviz.sims.program.interrupts import Interrupts
 
     is_watched = sys.stderr.isatty()
 
     def prepare() -> tuple[Learner, Steps]:
-        from server.train import announced_on_terminal, warm_up
+        from hebbviz.server.cli.training import announced_on_terminal, warm_up
 
         with announced_on_terminal():
             learner = make_learner(args)
@@ -106,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _recorded(args: argparse.Namespace, learner: Learner) -> Steps:
     """What moves the learner on, and records it if that is asked for."""
-    from server.train import Recorded, Unrecorded
+    from hebbviz.server.cli.training import Recorded, Unrecorded
 
     if args.record is None:
         return Unrecorded(learner)
@@ -116,8 +116,8 @@ def _recorded(args: argparse.Namespace, learner: Learner) -> Steps:
 def _run(
     args: argparse.Namespace, learner: Learner, steps: Steps, interrupts: Interrupts, *, bar: bool
 ) -> Training:
-    from hebbviz.learner import TaskError
-    from server.train import train
+    from hebbviz.learner.learner import TaskError
+    from hebbviz.server.cli.training import train
 
     try:
         return train(steps, args.steps, stop=interrupts.stop, bar=bar)
@@ -131,7 +131,7 @@ def _report(
     args: argparse.Namespace, learner: Learner, training: Training, interrupts: Interrupts
 ) -> int:
     """Save, then find out how it does, then print. A signal ends the second at once."""
-    from server.train import describe, figures_of, own_figures, shown_calls
+    from hebbviz.server.cli.training import describe, figures_of, own_figures, shown_calls
 
     failure = None
     try:
@@ -188,7 +188,7 @@ def _save(args: argparse.Namespace, learner: Learner) -> str | None:
     """Save if asked for, and say where; None if not asked for. Raises OSError."""
     if args.save is None:
         return None
-    from hebbviz import files
+    from hebbviz.learner import saves
 
-    path = files.save(learner, args.save, task_name=task_name(args, learner))
+    path = saves.save(learner, args.save, task_name=task_name(args, learner))
     return f"saved in {path}"

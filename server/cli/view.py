@@ -7,8 +7,8 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from server.cli.arguments import access_of, add_access, add_recorded, whole_number
-from server.terminal import FINE, say, tell, user_can_mend
+from hebbviz.server.cli.arguments import access_of, add_access, add_recorded, whole_number
+from hebbviz.sims.program.terminal import FINE, say, tell, user_can_mend
 
 
 def add(commands: Any) -> None:
@@ -34,8 +34,8 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Open a recording in rerun's web viewer."""
-    from server.interrupts import Interrupts
-    from server.recording.viewer import Viewer
+    from hebbviz.server.recording.viewer import Viewer
+    from hebbviz.sims.program.interrupts import Interrupts
 
     with Interrupts() as interrupts:
         with user_can_mend(args):

@@ -13,14 +13,14 @@ import numpy as np
 import rerun.blueprint as rrb
 from rerun.blueprint.components import PlayState
 
-from hebbviz.task import Measure, Reading, Task
+from hebbviz.server.recording.header import entity
+from hebbviz.server.recording.plots import ALL, in_title, plot, span_of, steps_of, up_to_cursor
+from hebbviz.server.recording.scene import unlit
+from hebbviz.server.recording.scene_objects import trail_of
+from hebbviz.server.scene.appearance import network_at, place
+from hebbviz.sims.figures import palette
+from hebbviz.task.base import Measure, Reading, Task
 from hebbviz.topology import Projection, Topology
-from server import palette
-from server.look import network_at, place
-from server.recording.header import entity
-from server.recording.plots import ALL, in_title, plot, span_of, steps_of, up_to_cursor
-from server.recording.props import trail_of
-from server.recording.scene import unlit
 
 TRAIL = 75
 """Steps that a trail goes back."""

@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.moments import join
-from hebbviz.task import Task
+from hebbviz.learner.frames import join
+from hebbviz.server.recording.header import BadRecording, Header
+from hebbviz.server.recording.kept_steps import matrices_of, steps_of
+from hebbviz.server.recording.reader import Recording
+from hebbviz.server.recording.tables import Table, parallel, read_rows
+from hebbviz.server.run.run import Replay, Run
+from hebbviz.server.scene.appearance import endpoints, neuron_names, unit_names
+from hebbviz.sims.loading import make_task
+from hebbviz.sims.program.whole_folder import whole_folder
+from hebbviz.task.base import Task
 from hebbviz.topology import Topology
-from server.look import endpoints, neuron_names, unit_names
-from server.recording.chunks import Table, parallel, read_rows
-from server.recording.header import BadRecording, Header
-from server.recording.reader import Recording
-from server.recording.stored import matrices_of, steps_of
-from server.run import Replay, Run
-from server.whole import whole_folder
-from sims.loading import make_task
 
 Array = NDArray[Any]
 Columns = dict[str, Array]

@@ -12,11 +12,9 @@ from typing import Any
 
 import hebbviz
 from hebbviz.limits import fall_from_json, fall_to_json
-from hebbviz.rules import Rule, make_rule
+from hebbviz.rules.base import Rule, make_rule
 from hebbviz.rules.paper import PAPER
-from hebbviz.task import Tally, Task
-from hebbviz.topology import Topology
-from server.changes import (
+from hebbviz.server.run.changes import (
     Change,
     Freeze,
     GiveReward,
@@ -27,6 +25,8 @@ from server.changes import (
     SetGamma,
     SetRule,
 )
+from hebbviz.task.base import Tally, Task
+from hebbviz.topology import Topology
 
 PROGRAM = "hebbviz recording"
 FORMAT = 2

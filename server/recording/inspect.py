@@ -8,11 +8,11 @@ from typing import Any
 
 from hebbviz.limits import fall_to_json
 from hebbviz.rules.paper import PAPER
-from hebbviz.task import Tally
-from server.recording.header import change_to_json
-from server.recording.reader import Recording
-from server.recording.thinning import words as size_of
-from server.terminal import finite
+from hebbviz.server.recording.header import change_to_json
+from hebbviz.server.recording.reader import Recording
+from hebbviz.server.run.thinning import words as size_of
+from hebbviz.sims.program.terminal import finite
+from hebbviz.task.base import Tally
 
 Figures = dict[str, Any]
 """By name, fit for strict JSON."""

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import rerun.blueprint as rrb
 
-from hebbviz.task import Task
+from hebbviz.task.base import Task
 
 WINDOW, SLOW_WINDOW = 200, 60
 """Steps up to the cursor that the detailed plots show; fewer of a task that is played by hand."""

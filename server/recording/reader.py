@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.learner import Learner
-from hebbviz.moments import Keyframe
-from hebbviz.rules import Rule
+from hebbviz.learner.frames import Keyframe
+from hebbviz.learner.learner import Learner
+from hebbviz.rules.base import Rule
 from hebbviz.rules.paper import PAPER
-from hebbviz.task import Tally, Task
-from server.changes import Logged
-from server.history import History, Totals
-from server.recording import messages
-from server.recording.chunks import Table, read, readable
-from server.recording.header import BadRecording, Header, change_from_json, known_rule
-from server.recording.stored import Stored
-from server.run import MakeTask, Run
-from server.tape import MOST_BYTES, Moment, Tape
+from hebbviz.server.recording import rrd_format
+from hebbviz.server.recording.header import BadRecording, Header, change_from_json, known_rule
+from hebbviz.server.recording.kept_steps import Stored
+from hebbviz.server.recording.tables import Table, read, readable
+from hebbviz.server.run.changes import Logged
+from hebbviz.server.run.history import History, Totals
+from hebbviz.server.run.keyframes import MOST_BYTES, Moment, Tape
+from hebbviz.server.run.run import MakeTask, Run
+from hebbviz.task.base import Tally, Task
 
 Array = NDArray[np.float64]
 
@@ -110,7 +110,7 @@ def open_recording(path: str | Path) -> Recording:
 
 def _open(path: Path) -> Recording:
     try:
-        extent = messages.extent(path)
+        extent = rrd_format.extent(path)
     except ValueError as error:
         raise BadRecording(f"{error}: name a .rrd file that hebbviz recorded") from error
     tables = read(path, extent.size, SKELETON)

@@ -8,19 +8,19 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
 
-from hebbviz.moments import Block, Frame
-from hebbviz.task import Tally
-from server.changes import Logged
-from server.history import usual_window
-from server.recording import thinning
-from server.recording.header import TASK, Header, check_recordable, machine, versions
-from server.recording.status import Status
-from server.recording.take import BEGIN_SECONDS, CLOSE_SECONDS, Take
-from server.recording.targets import Target
-from server.recording.thinning import Plan
-from server.run import Follower, Run
-from server.tape import Moment
-from server.terminal import reason
+from hebbviz.learner.frames import Block, Frame
+from hebbviz.server.recording.header import TASK, Header, check_recordable, machine, versions
+from hebbviz.server.recording.segment import BEGIN_SECONDS, CLOSE_SECONDS, Take
+from hebbviz.server.recording.status import Status
+from hebbviz.server.recording.targets import Target
+from hebbviz.server.run import thinning
+from hebbviz.server.run.changes import Logged
+from hebbviz.server.run.history import usual_window
+from hebbviz.server.run.keyframes import Moment
+from hebbviz.server.run.run import Follower, Run
+from hebbviz.server.run.thinning import Plan
+from hebbviz.sims.program.terminal import reason
+from hebbviz.task.base import Tally
 
 
 class Recorder(Follower):

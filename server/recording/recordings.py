@@ -11,15 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hebbviz.rules import Rule
-from server.recording import thinning
-from server.recording.header import check_recordable
-from server.recording.status import Status
-from server.run import Run
+from hebbviz.rules.base import Rule
+from hebbviz.server.recording.header import check_recordable
+from hebbviz.server.recording.status import Status
+from hebbviz.server.run import thinning
+from hebbviz.server.run.run import Run
 
 if TYPE_CHECKING:
-    from server.recording.recorder import Recorder
-    from server.recording.targets import Target
+    from hebbviz.server.recording.recorder import Recorder
+    from hebbviz.server.recording.targets import Target
 
 DEFAULT_FOLDER = "hebbviz-recordings"
 
@@ -64,7 +64,7 @@ class Recordings:
         if self.is_on:
             raise ValueError("a recording goes on already: stop it first")
         self.stop()  # one that had to stop by itself still follows the run
-        from server.recording.targets import FileTarget
+        from hebbviz.server.recording.targets import FileTarget
 
         self._file = self._begin(FileTarget(path))
 
@@ -96,7 +96,7 @@ class Recordings:
         """End all; returns whether the disk still holds up a thread of them."""
         if not self._begun:
             return False
-        from server.recording.take import CLOSE_SECONDS
+        from hebbviz.server.recording.segment import CLOSE_SECONDS
 
         going_on = [r for r in self._begun if r in self._run.followers]
         for recorder in going_on:
@@ -126,14 +126,14 @@ class Recordings:
         return None if self._file is None else self._file.status
 
     def _start_stream(self, port: int) -> None:
-        from server.recording.targets import StreamTarget
+        from hebbviz.server.recording.targets import StreamTarget
 
         target = StreamTarget(port, on_refused=self._notice)
         self._begin(target)
         self.stream_url = target.url
 
     def _begin(self, target: Target) -> Recorder:
-        from server.recording.recorder import Recorder
+        from hebbviz.server.recording.recorder import Recorder
 
         recorder = Recorder(
             target, self._run, budget=self._options.budget, detail=self._options.detail,

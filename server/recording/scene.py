@@ -1,6 +1,6 @@
 """The 3D scene of a recording: what stands still is written once, and then only what changes.
 
-Colours, sizes and places are those of the live page (`server.look`).
+Colours, sizes and places are those of the live page (`hebbviz.server.scene.appearance`).
 """
 
 from __future__ import annotations
@@ -11,11 +11,10 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from hebbviz.moments import Frame
-from hebbviz.task import Task
-from hebbviz.topology import Topology
-from server import palette
-from server.look import (
+from hebbviz.learner.frames import Frame
+from hebbviz.server.recording.rows import Columns, Rows, Steps
+from hebbviz.server.recording.scene_objects import LEAST_EXTENT, Props, packed
+from hebbviz.server.scene.appearance import (
     INPUT_BASE,
     THINNEST,
     TRACE_AT,
@@ -26,9 +25,10 @@ from server.look import (
     place,
     unit_names,
 )
-from server.palette import Pixels, Theme
-from server.recording.props import LEAST_EXTENT, Props, packed
-from server.recording.rows import Columns, Rows, Steps
+from hebbviz.sims.figures import palette
+from hebbviz.sims.figures.palette import Pixels, Theme
+from hebbviz.task.base import Task
+from hebbviz.topology import Topology
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

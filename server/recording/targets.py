@@ -11,9 +11,9 @@ from pathlib import Path
 
 import rerun as rr
 
-from server.recording.relay import Relay
-from server.recording.streams import Stream
-from server.terminal import reason
+from hebbviz.server.recording.relay import Relay
+from hebbviz.server.recording.streams import Stream
+from hebbviz.sims.program.terminal import reason
 
 DEFAULT_STREAM_PORT = 9876
 RESERVE = 4_000_000

@@ -26,10 +26,10 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from server.entrance import Access, Entrance, Passage, Role, headers
-from server.refusal import Refused
-from server.terminal import reason
-from server.window import open_window
+from hebbviz.server.web.access import Access, Entrance, Passage, Role, headers
+from hebbviz.server.web.browser_window import open_window
+from hebbviz.server.web.refusal import Refused
+from hebbviz.sims.program.terminal import reason
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -15,18 +15,18 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from hebbviz.moments import Block, Frame
-from hebbviz.rules import make_rule
-from hebbviz.task import Tally, Task
-from server.changes import Logged
-from server.palette import SERIES
-from server.recording import rows
-from server.recording.blueprint import LOG_GAMMA, blueprint, curves_of, log_curve
-from server.recording.header import Header, change_to_json, entity
-from server.recording.rows import Rows
-from server.recording.scene import Scene
-from server.recording.streams import Stream
-from server.tape import Moment
+from hebbviz.learner.frames import Block, Frame
+from hebbviz.rules.base import make_rule
+from hebbviz.server.recording import rows
+from hebbviz.server.recording.blueprint import LOG_GAMMA, blueprint, curves_of, log_curve
+from hebbviz.server.recording.header import Header, change_to_json, entity
+from hebbviz.server.recording.rows import Rows
+from hebbviz.server.recording.scene import Scene
+from hebbviz.server.recording.streams import Stream
+from hebbviz.server.run.changes import Logged
+from hebbviz.server.run.keyframes import Moment
+from hebbviz.sims.figures.palette import SERIES
+from hebbviz.task.base import Tally, Task
 
 Array = NDArray[np.float64]
 

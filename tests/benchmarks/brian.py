@@ -30,10 +30,10 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from hebbviz.chance import SPIKES, uniforms
-from hebbviz.learner import Learner
+from hebbviz.learner.learner import Learner
+from hebbviz.numerics.counter_rng import SPIKES, uniforms
 from hebbviz.reference import Reference
-from sims.sonar import ENERGIES, HOLD, PATTERNS, TRAINING, Sonar, load
+from hebbviz.sims.sonar import ENERGIES, HOLD, PATTERNS, TRAINING, Sonar, load
 
 Array = NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 """How much of its speed a run keeps while one client floods the server, and what comes back after.
 
     python tests/benchmarks/floods.py                  # each kind of flood; about five minutes
-    python tests/benchmarks/floods.py sliders visits   # these; see tests/attacker.py
+    python tests/benchmarks/floods.py sliders visits   # these; see tests/support/attacker.py
 
 The attacker is a process of its own on the same cores. It is stopped and let go on by turns, and
 each turn is compared with the rest before and after it, for the machine may do other things too.
@@ -25,19 +25,19 @@ from itertools import pairwise
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support")]
 
 from attacker import CROWDS, FLOODS  # noqa: E402
 from raw_client import wait_until  # noqa: E402
 
-from hebbviz.learner import Learner  # noqa: E402
-from hebbviz.moments import Block  # noqa: E402
-from server.app import Site  # noqa: E402
-from server.commands import StartRecording, StopRecording  # noqa: E402
-from server.entrance import Access  # noqa: E402
-from server.recording.recordings import Options  # noqa: E402
-from server.run import Follower, Run  # noqa: E402
-from sims.loading import make_task  # noqa: E402
+from hebbviz.learner.frames import Block  # noqa: E402
+from hebbviz.learner.learner import Learner  # noqa: E402
+from hebbviz.server.app import Site  # noqa: E402
+from hebbviz.server.live.commands import StartRecording, StopRecording  # noqa: E402
+from hebbviz.server.recording.recordings import Options  # noqa: E402
+from hebbviz.server.run.run import Follower, Run  # noqa: E402
+from hebbviz.server.web.access import Access  # noqa: E402
+from hebbviz.sims.loading import make_task  # noqa: E402
 
 KEPT, KEPT_AFTER, GROWN = 0.5, 0.9, 60.0
 """Bars: shares of the speed during a flood and a second after it; MB that the allocator keeps."""
@@ -152,7 +152,13 @@ def opened(task: str = "pendulum", access: Access = Access()) -> Iterator[Bench]
 @contextlib.contextmanager
 def attack(port: int, kind: str, seconds: float) -> Iterator[subprocess.Popen[str]]:
     """An attacker that is stopped at first."""
-    program = [sys.executable, str(ROOT / "tests/attacker.py"), str(port), kind, str(seconds)]
+    program = [
+        sys.executable,
+        str(ROOT / "tests/support/attacker.py"),
+        str(port),
+        kind,
+        str(seconds),
+    ]
     with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as attacker:
         assert attacker.stdout is not None
         assert attacker.stdout.readline() == "flooding\n"

@@ -20,12 +20,12 @@ from itertools import pairwise
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support")]
 
-from benchmarks.floods import opened  # noqa: E402
 from raw_client import RawClient  # noqa: E402
 
-from server.entrance import Access, Role  # noqa: E402
+from hebbviz.server.web.access import Access, Role  # noqa: E402
+from tests.benchmarks.floods import opened  # noqa: E402
 
 KEPT = 0.8
 """Bar: share of the speed."""

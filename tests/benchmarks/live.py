@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support")]
 
 from raw_client import RawClient, wait_until  # noqa: E402
 
@@ -84,9 +84,9 @@ class PictureClient(RawClient):
 
 def serve_and_answer(task: str) -> None:
     """A server at full speed that answers on stdout: `step`, or `betas SECONDS`."""
-    from hebbviz.learner import Learner
-    from server.app import Site
-    from sims.loading import make_task
+    from hebbviz.learner.learner import Learner
+    from hebbviz.server.app import Site
+    from hebbviz.sims.loading import make_task
 
     learner = Learner(make_task(task), seed=0)
     site = Site(learner, host="127.0.0.1", port=0, speed="max", task_name=None)

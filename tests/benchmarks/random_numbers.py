@@ -54,13 +54,13 @@ def turn(rounds: int, cache: str) -> list[float]:
 
 def measured(rounds: int) -> list[float]:
     """Nanoseconds of processor time a step and lane, in float32 and in float64."""
-    from hebbviz import chance
+    from hebbviz.numerics import counter_rng
 
-    chance._ROUNDS = rounds  # before anything is compiled
+    counter_rng._ROUNDS = rounds  # before anything is compiled
     import numpy as np
 
-    from hebbviz.learner import Learner
-    from sims.sonar import Sonar
+    from hebbviz.learner.learner import Learner
+    from hebbviz.sims.sonar import Sonar
 
     return [
         _least(Learner(Sonar("paper"), lanes=LANES, dtype=dtype, written_out=True))

@@ -22,17 +22,17 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT)]
 
-from hebbviz.learner import Learner  # noqa: E402
-from server.commands import SetSpeed, SetWatch  # noqa: E402
-from server.player import Check, Player  # noqa: E402
-from server.recording.reader import open_recording  # noqa: E402
-from server.recording.recordings import Options, Recordings  # noqa: E402
-from server.run import Run  # noqa: E402
-from server.session import Session  # noqa: E402
-from server.tempo import MAX  # noqa: E402
-from server.train import Recorded, train, warm_up  # noqa: E402
-from server.worker import Worker  # noqa: E402
-from sims.loading import make_task  # noqa: E402
+from hebbviz.learner.learner import Learner  # noqa: E402
+from hebbviz.server.cli.training import Recorded, train, warm_up  # noqa: E402
+from hebbviz.server.live.commands import SetSpeed, SetWatch  # noqa: E402
+from hebbviz.server.live.pacing import MAX  # noqa: E402
+from hebbviz.server.live.playback import Check, Player  # noqa: E402
+from hebbviz.server.live.session import Session  # noqa: E402
+from hebbviz.server.live.worker import Worker  # noqa: E402
+from hebbviz.server.recording.reader import open_recording  # noqa: E402
+from hebbviz.server.recording.recordings import Options, Recordings  # noqa: E402
+from hebbviz.server.run.run import Run  # noqa: E402
+from hebbviz.sims.loading import make_task  # noqa: E402
 
 SECONDS, SETTLE, ROUNDS = 10.0, 8.0, 2
 

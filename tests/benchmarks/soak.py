@@ -28,12 +28,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support")]
 
 from browser import open_browser, tab_at  # noqa: E402
 from raw_client import CAMERA, RawClient, wait_until  # noqa: E402
 
-from server.recording.reader import open_recording  # noqa: E402
+from hebbviz.server.recording.reader import open_recording  # noqa: E402
 
 CLIENTS = 8
 STAY_SECONDS = 10.0
@@ -42,9 +42,9 @@ SAMPLE_SECONDS = 2.0
 GROWN_MB = 10.0
 """More since the first third is a leak; the allocators' pools and the page's log take some."""
 PROGRAM = """
-import server.run
-from server.cli.main import program
-server.run.MOST_BYTES = server.run.MOST_UNDO_BYTES = 1_000_000
+import hebbviz.server.run.run
+from hebbviz.server.cli.main import program
+hebbviz.server.run.run.MOST_BYTES = hebbviz.server.run.run.MOST_UNDO_BYTES = 1_000_000
 program()
 """
 """The stores for rewinding and undoing are full within a minute; they would fill up for an hour."""

@@ -27,7 +27,16 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from limit import LANES, SYNAPSES, NoCompiler, Tile, departure
 from memory import traffic
 
-from server.bench import RATIOS, Contestant, Ratio, Speed, contestants, figures, race, table
+from hebbviz.server.cli.speeds import (
+    RATIOS,
+    Contestant,
+    Ratio,
+    Speed,
+    contestants,
+    figures,
+    race,
+    table,
+)
 
 HERE = Path(__file__).parent
 BRIAN_STEPS = 20_000

@@ -1,0 +1,87 @@
+"""All lanes of a network: the tiles as one, numbers of all lanes going in and coming out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.engine.buffers import NOBODY
+from hebbviz.engine.layout import WIDTHS, Layout
+from hebbviz.engine.tile import Tile
+
+Array = NDArray[np.float64]
+
+
+class Tiles:
+    """Lanes `first_lane` to `first_lane + lanes - 1` of a seed, in as few tiles as do, as equal as
+    can be; float32 or float64.
+
+    Iterating gives each tile, and which of the lanes it has.
+    """
+
+    def __init__(
+        self, layout: Layout, *, seed: int, first_lane: int, lanes: int,
+        dtype: type[np.floating[Any]], written: bool = False,
+    ) -> None:  # fmt: skip
+        self.layout, self.seed = layout, seed
+        self.first_lane, self.lanes = first_lane, lanes
+        ends = np.cumsum(_cut(lanes)).tolist()
+        parts = [slice(start, end) for start, end in pairwise([0, *ends])]
+        self._tiles = [
+            Tile(layout, seed=seed, first_lane=first_lane + part.start,
+                 lanes=part.stop - part.start, dtype=dtype, written=written)
+            for part in parts
+        ]  # fmt: skip
+        self._cut = list(zip(self._tiles, parts, strict=True))
+
+    def __iter__(self) -> Iterator[tuple[Tile, slice]]:
+        return iter(self._cut)
+
+    def place_of(self, lane: int) -> tuple[Tile, int]:
+        """The tile of a lane, and its number there."""
+        for tile, part in self:
+            if lane < part.stop:
+                return tile, lane - part.start
+        raise IndexError(f"lane must be below {self.lanes}, got {lane}")
+
+    def watched(self, lane: int) -> list[tuple[Tile, int]]:
+        """Each tile, and which of its lanes the watched one is, NOBODY if it is another's."""
+        return [
+            (tile, lane - part.start if part.start <= lane < part.stop else NOBODY)
+            for tile, part in self
+        ]
+
+    def joined(self, part: Callable[[Tile], Array]) -> Array:
+        """What each tile has of something, (rows, its lanes), for all lanes."""
+        return np.concatenate([part(tile) for tile in self._tiles], axis=1)
+
+    def read(self, name: str) -> Array:
+        """A section that the state holds, (rows, lanes)."""
+        return self.joined(lambda tile: tile.read(name))
+
+    def put(self, name: str, values: Array | float) -> None:
+        """Set a section: a number, or (rows, lanes)."""
+        for tile, part in self:
+            tile.put(name, values if np.ndim(values) == 0 else np.asarray(values)[:, part])
+
+    # Going back
+
+    def keep(self) -> None:
+        """Remember this moment."""
+        for tile in self._tiles:
+            tile.keep()
+
+    def back(self) -> None:
+        """As it was when it was last kept."""
+        for tile in self._tiles:
+            tile.back()
+
+
+def _cut(lanes: int) -> list[int]:
+    """How many lanes each tile has."""
+    tiles = -(-lanes // WIDTHS[-1])
+    return [len(part) for part in np.array_split(np.arange(lanes), tiles)]

@@ -1,0 +1,276 @@
+"""The closed loop of a task with a network, in every lane: stepped by Python, or compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.engine.batch import Tiles
+from hebbviz.engine.buffers import Notes, Summing
+from hebbviz.engine.tile import Tile
+from hebbviz.learner.pieces import Pieces, tell
+from hebbviz.numerics.counter_rng import FIRST_EPISODE, NEXT_EPISODE, Draws
+from hebbviz.task.base import CompiledTask, Task
+from hebbviz.topology import Topology
+
+Array = NDArray[np.float64]
+
+
+def world_of(task: Task, tiles: Tiles) -> World:
+    """The task in these lanes. It is nowhere yet: `start` it."""
+    return (
+        CompiledWorld(task, tiles) if isinstance(task, CompiledTask) else PythonWorld(task, tiles)
+    )
+
+
+class World:
+    """A task in all lanes of a network. Whatever the task raises goes through it.
+
+    A state is (numbers,) of one lane. The two kinds hold them each in their way.
+    """
+
+    def __init__(self, task: Task, tiles: Tiles) -> None:
+        self._task, self._tiles = task, tiles
+        self.step = 0
+        """The number of the step that comes next."""
+
+    # What each kind does in its own way
+
+    @property
+    def states(self) -> Array:
+        """Of all lanes, (numbers, lanes)."""
+        raise NotImplementedError
+
+    def state(self, lane: int) -> Array:
+        """Of one lane, (numbers,)."""
+        raise NotImplementedError
+
+    def put(self, states: Sequence[Array]) -> None:
+        """Set the state of each lane; what the network sees and who is clamped stays."""
+        raise NotImplementedError
+
+    def run(self, steps: int, *, instead: Array, watch: int, notes: Notes, since: Summing) -> None:
+        """Act and hear for so many steps.
+
+        `instead` (steps, or 0) takes the place of what is made of the reward; `notes` and `since`
+        are of the lane `watch`, unless that is NOBODY. If a step fails, `step`, network, states and
+        sums are what they were before it or, compiled, before all of them.
+        """
+        raise NotImplementedError
+
+    # The same for both
+
+    def start(self) -> None:
+        """The first episode of each lane."""
+        lanes = range(self._tiles.first_lane, self._tiles.first_lane + self._tiles.lanes)
+        draws = [Draws(self._tiles.seed, lane, 0, FIRST_EPISODE) for lane in lanes]
+        self._enter([_numbers(self._task.restart(d)) for d in draws])
+
+    def press(self, control: str) -> None:
+        """Press one of the task's buttons, in every lane."""
+        lanes = range(self._tiles.lanes)
+        pressed = [_numbers(self._task.press(self.state(lane), control)) for lane in lanes]
+        self.place(np.stack(pressed, axis=1))
+
+    def place(self, states: Array) -> None:
+        """Go to other states, (numbers, lanes); the network sees its input next."""
+        if states.shape != self.states.shape:
+            raise ValueError(
+                f"the state must keep its shape {self.states.shape}, got {states.shape}"
+            )
+        self._enter([state.copy() for state in states.T])
+
+    def _enter(self, states: Sequence[Array]) -> None:
+        """Be in these states, and let the network see them; if that fails nothing has happened."""
+        seen = np.stack([self._see(state) for state in states], axis=1)
+        if not np.isfinite(seen).all():
+            raise ValueError("an observation is not a finite number")
+        self._clamp(states)
+        self.put(states)
+        for tile, lanes in self._tiles:
+            tile.see(seen[:, lanes])
+
+    def _see(self, state: Array) -> Array:
+        """What a state shows, (inputs,)."""
+        inputs = self._tiles.layout.topology.inputs
+        seen = np.asarray(self._task.observation(state), dtype=np.float64)
+        if seen.shape != (inputs,):
+            raise ValueError(f"an observation must have shape ({inputs},), got {seen.shape}")
+        return seen
+
+    def _clamp(self, states: Sequence[Array]) -> None:
+        """Make neurons fire or not at the next step, where the task wants it."""
+        if type(self._task).clamps is Task.clamps:
+            return
+        neurons = self._tiles.layout.topology.neurons
+        clamps = np.full((neurons, self._tiles.lanes), np.nan)
+        for lane, state in enumerate(states):
+            wanted = self._task.clamps(state)
+            if wanted is None:
+                continue
+            if wanted.shape != (neurons,):
+                raise ValueError(f"clamps must have shape ({neurons},), got {wanted.shape}")
+            clamps[:, lane] = wanted
+        self._tiles.put("clamp", clamps)
+
+
+class PythonWorld(World):
+    """A task whose methods are called at each step; each step stands or falls alone."""
+
+    _states: list[Array]
+
+    @property
+    def states(self) -> Array:
+        return np.stack(self._states, axis=1)
+
+    def state(self, lane: int) -> Array:
+        return self._states[lane].copy()
+
+    def put(self, states: Sequence[Array]) -> None:
+        self._states = list(states)
+
+    def run(self, steps: int, *, instead: Array, watch: int, notes: Notes, since: Summing) -> None:
+        watched = self._tiles.watched(watch)
+        for row in range(steps):
+            self._tiles.keep()
+            since.keep()
+            try:
+                reached, states = self._act()
+                for tile, lane in watched:
+                    tile.settle(row, instead=instead, watch=lane, notes=notes, sums=since.sums)
+            except BaseException:
+                self._tiles.back()
+                since.back()
+                raise
+            if len(notes.worlds):
+                notes.worlds[row] = reached[watch]
+            self._states = states
+            self.step += 1
+            tell(row + 1, steps)
+
+    def _act(self) -> tuple[list[Array], list[Array]]:
+        """Let the network act and hear what comes of it; returns the states that are reached, and
+        those that are next: new episodes where one ended.
+        """
+        reached: list[Array] = []
+        states: list[Array] = []
+        for tile, lanes in self._tiles:
+            action = tile.respond(self.step)
+            for k, before in enumerate(self._states[lanes]):
+                reached.append(self._answer(tile, k, before, action[:, k]))
+                states.append(self._following(tile, k, reached[-1]))
+        self._clamp(states)
+        for tile, lanes in self._tiles:
+            tile.hear([self._see(state) for state in states[lanes]])
+        return reached, states
+
+    def _answer(self, tile: Tile, k: int, before: Array, action: Array) -> Array:
+        """What comes after `before` in lane k of a tile; the tile is told reward and end."""
+        draws = Draws(self._tiles.seed, tile.first_lane + k, self.step)
+        state = _kept_shape(self._task.transition(before.copy(), action, draws), before)
+        tile.reward[k] = _number(self._task.reward(state))
+        tile.ended[k] = self._task.ended(state)
+        return state
+
+    def _following(self, tile: Tile, k: int, state: Array) -> Array:
+        """The state itself, or the beginning of the next episode."""
+        if not tile.ended[k]:
+            return state
+        draws = Draws(self._tiles.seed, tile.first_lane + k, self.step, NEXT_EPISODE)
+        return _kept_shape(self._task.restart(draws), state)
+
+
+class CompiledWorld(World):
+    """A task that the engine calls, its states in the tiles; all steps stand or fall together."""
+
+    def __init__(self, task: CompiledTask, tiles: Tiles) -> None:
+        super().__init__(task, tiles)
+        self._answer, self._data = task.answer, np.array(task.data())
+        self._pieces = Pieces()
+
+    @property
+    def states(self) -> Array:
+        return self._tiles.joined(lambda tile: tile.world[:, : tile.lanes])
+
+    def state(self, lane: int) -> Array:
+        tile, k = self._tiles.place_of(lane)
+        return tile.world[:, k].copy()
+
+    def put(self, states: Sequence[Array]) -> None:
+        for tile, lanes in self._tiles:
+            tile.put_world(np.stack(states[lanes], axis=1))
+
+    def run(self, steps: int, *, instead: Array, watch: int, notes: Notes, since: Summing) -> None:
+        self._tiles.keep()
+        since.keep()
+        before = self.state(watch) if len(notes.worlds) else np.zeros(0)
+        try:
+            for piece in self._pieces.of(steps):
+                self._run(piece, instead, watch, notes, since)
+            if len(notes.worlds):
+                self._note_ends(before, watch, notes)
+        except BaseException:
+            self._tiles.back()
+            since.back()
+            raise
+        self.step += steps
+
+    def _run(self, piece: slice, instead: Array, watch: int, notes: Notes, since: Summing) -> None:
+        """Some of the steps that are asked for."""
+        for tile, lane in self._tiles.watched(watch):
+            tile.run(
+                piece.stop - piece.start, self.step + piece.start, self._answer, self._data,
+                instead=instead[piece], watch=lane, notes=notes.part(piece), sums=since.sums,
+            )  # fmt: skip
+
+    def _note_ends(self, before: Array, watch: int, notes: Notes) -> None:
+        """Note the state that ended an episode, in place of the new one that compiled code left.
+
+        It is what the task's methods say of the same step, as they do to the bit.
+        """
+        topology = self._tiles.layout.topology
+        actions = np.array(topology.activity)[notes.fired[:, topology.neurons_of(topology.output)]]
+        began = np.concatenate((before[None], notes.worlds[:-1]))
+        for row in np.flatnonzero(notes.rewards[:, 2]).tolist():
+            draws = Draws(self._tiles.seed, self._tiles.first_lane + watch, self.step + row)
+            notes.worlds[row] = self._task.transition(began[row].copy(), actions[row], draws)
+
+
+def check_fit(task: Task, topology: Topology) -> None:
+    """Raise ValueError unless the task can be acted in through this network."""
+    if isinstance(task, CompiledTask) and type(task).clamps is not Task.clamps:
+        raise ValueError(
+            f"task {task.name!r} is compiled, so its clamps are not asked for at each "
+            "step: leave them out, or make it a Task"
+        )
+    inputs, outputs = len(task.inputs), len(task.outputs)
+    if topology.inputs != inputs:
+        raise ValueError(f"task {task.name!r} has {inputs} inputs, the network {topology.inputs}")
+    size = topology.group(topology.output).size
+    if size != outputs:
+        raise ValueError(
+            f"task {task.name!r} has {outputs} outputs, the network's group "
+            f"{topology.output!r} has {size}"
+        )
+
+
+def _number(reward: object) -> float:
+    try:
+        return float(reward)  # type: ignore[arg-type]  # what is none is told
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"reward must return a number, got {reward!r:.60}") from error
+
+
+def _kept_shape(state: Array, before: Array) -> Array:
+    """The numbers of a state that comes after another one."""
+    state = _numbers(state)
+    if state.shape != before.shape:
+        raise ValueError(f"the state must keep its shape {before.shape}, got {state.shape}")
+    return state
+
+
+def _numbers(state: Array) -> Array:
+    """What a task returned as its state, in float64 and its own array, as a save will hold it."""
+    return np.array(state, dtype=np.float64)

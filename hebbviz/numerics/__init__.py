@@ -1,0 +1,1 @@
+"""Compiling, random numbers and σ: what every compiled function is made with."""

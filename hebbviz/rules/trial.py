@@ -1,0 +1,53 @@
+"""A few steps of a rule in plain Python, on NumPy's arrays.
+
+Compiled, a rule goes on after an error, and reads and writes beyond its arrays unseen. Here it is
+told.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from hebbviz.rules.base import Rule
+
+REWARDS = (0.0, -1.0, 1.0)
+
+
+@lru_cache(maxsize=256)
+def try_out(rule: Rule) -> None:
+    """Raise ValueError, in one line, if a rule raises, leaves its arrays, changes what it is only
+    to read, or sends or keeps what is not finite. In as many lanes as it needs, and in some more.
+    """
+    for lanes in (rule.least_lanes, rule.least_lanes + 2):
+        memory = np.zeros((len(rule.memory), lanes))
+        for step in range(2 * len(REWARDS)):
+            reward = np.resize(np.roll(REWARDS, -step), lanes)
+            ended = np.full(lanes, float(step >= len(REWARDS)))
+            _step(rule, memory, reward, ended)
+
+
+def _step(rule: Rule, *given: np.ndarray) -> None:
+    memory, reward, ended = given
+    constants, sent = rule.constants, np.full(len(reward), np.nan)
+    for array in (constants, reward, ended):
+        array.flags.writeable = False
+    try:
+        with np.errstate(all="ignore"):  # as when it is compiled
+            type(rule).modulate(memory, constants, reward, ended, sent)
+    except Exception as error:
+        first, *_ = str(error).splitlines() or [""]
+        raise ValueError(
+            f"rule {rule.name}: modulate fails in a dry run, lanes: {len(reward)}: "
+            f"{type(error).__name__}: {first}"[:400]
+        ) from error
+    for what, array in (("send", sent), ("keep", memory)):
+        if not np.isfinite(array).all():
+            wrong = array[~np.isfinite(array)][0]
+            raise ValueError(
+                f"rule {rule.name}: modulate must {what} a finite number in each lane at each "
+                f"step, got {wrong} in a dry run, where the reward was {reward[0]:g}"
+            )

@@ -1,0 +1,21 @@
+"""The contract of a task. A file of your own imports from here."""
+
+from hebbviz.task.base import (
+    CompiledTask,
+    Control,
+    Input,
+    Measure,
+    Output,
+    Pose,
+    Preset,
+    Prop,
+    Reading,
+    Score,
+    Tally,
+    Task,
+)
+
+__all__ = [
+    "CompiledTask", "Control", "Input", "Measure", "Output", "Pose", "Preset", "Prop", "Reading",
+    "Score", "Tally", "Task",
+]  # fmt: skip

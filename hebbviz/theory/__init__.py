@@ -1,0 +1,1 @@
+"""POMDPs, their policies and Markov chains: exact values to hold estimates against."""

@@ -1,0 +1,162 @@
+"""A network in a finite world as one exact Markov chain: η(w), ∇η(w) and E[r z] of every synapse.
+
+Section 4 of the paper taken at its word: the neurons are independent agents, and everything else,
+the activities of the step before included, is the world they act in. So a network of N neurons
+in a finite world is again a finite POMDP, with
+
+    state         (a, x, y)   who fired, 2^N; the world's state; what is seen of it
+    observation   (a, y)      all that any neuron can see: activities of the step before
+    control       a'          who fires now, by Pr(u_i = 1) = σ(v_i), v = Σ_j w_j u^j
+    next state    (a', x', y')  with x' ~ P(outputs of a'), y' ~ ν(x')
+    reward        r(x')
+
+which is the engine's order of events: respond, the world answers, reinforce with r and the trace
+that holds this step's term, set the input. The policy's score is the eligibility term of equation
+(neuron-zupdate), so that `Chain.biased_gradient` is the long-run mean of r z in the learner, in
+the order of the topology's synapses.
+
+Delays. What a neuron d steps away from the outputs did reaches the reward d steps later, so E[r z]
+of its synapses is a sum from β^d on: at β = 0 it is zero for every neuron but the outputs, whatever
+∇η is. Where the pattern is held and the reward depends on the outputs of the step alone, nothing
+but delay d matters, in a layered network: E[r z] = β^d ∇η, in the right direction at every β > 0.
+
+The best β there is a matter of noise. With a reward of mean m and variance v, a hidden synapse has
+its largest signal per noise near the maximum of β²/(m²/(1−β)² + v/(1−β²)). That is 0.5, as the
+paper says, for a reward that hardly varies about a mean other than zero: then the noise is that
+of the whole trace, 1/(1−β), and the share (1−β) β of it is what matters. For the paper's sonar
+rewards, 0 or 1, it is 0.54 at chance and 0.506 at 10 % error; for ±1 at chance it is 1/√2 = 0.707.
+For synapses d steps away it is d/(d + 1) in place of 1/2. `Chain.best_beta` finds it exactly.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.reference import sigma
+from hebbviz.theory.markov_chain import Chain
+from hebbviz.theory.policies import mixed_digits
+from hebbviz.theory.pomdp import POMDP
+from hebbviz.topology import Topology
+
+if TYPE_CHECKING:
+    from hebbviz.task.finite import FiniteWorld
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+MOST_NUMBERS = 2**24
+"""The largest transition table, controls × states × states, that is built."""
+
+
+class NetworkPolicy:
+    """All neurons as one agent: μ_a(o, w) is the product of σ(v) or σ(−v) by who fires in a.
+
+    `seen` (O, units) holds the activities of all units in each of its O observations, inputs
+    first; parameters are the synapses, in the topology's order. `fired` (N, 2^N) says who fires
+    in each control, neuron i being worth 2^i; `post` and `pre` (K,) are each synapse's neuron
+    and presynaptic unit.
+    """
+
+    def __init__(self, topology: Topology, vectors: Array) -> None:
+        low, high = topology.activity
+        self.fired = mixed_digits([2] * topology.neurons)
+        before = np.repeat((low + (high - low) * self.fired).T, len(vectors), axis=0)
+        self.seen = np.hstack([np.tile(vectors, (self.fired.shape[1], 1)), before])
+        self.post, self.pre = _ends(topology)
+
+    @property
+    def parameters(self) -> int:
+        return len(self.post)
+
+    def potentials(self, weights: Array) -> Array:
+        """Equation (potential) for every neuron, (O, N)."""
+        matrix = np.zeros((len(self.fired), self.seen.shape[1]))
+        matrix[self.post, self.pre] = weights
+        return self.seen @ matrix.T
+
+    def probabilities(self, weights: Array) -> Array:
+        v = self.potentials(weights)[:, :, None]
+        mu: Array = np.prod(np.where(self.fired, sigma(v), sigma(-v)), axis=1)
+        return mu
+
+    def score(self, weights: Array) -> Array:
+        """(fired − σ(v)) u^j, the eligibility terms, (O, 2^N, K)."""
+        surprise = self.fired.T - sigma(self.potentials(weights))[:, None, :]
+        return np.array(surprise[:, :, self.post] * self.seen[:, None, self.pre])
+
+
+class ExactNetwork:
+    """A topology in a finite world: `at` gives the chain for any weights.
+
+    `pomdp` is the world as the neurons together see it, `policy` what they do in it. Its state
+    number is a·M + m, where m counts the M `pairs` (x, y) that are possible.
+
+    Raises
+    ------
+    ValueError
+        If the topology does not fit the world, or together they have too many states.
+    """
+
+    def __init__(self, world: FiniteWorld, topology: Topology | None = None) -> None:
+        self.world = world
+        self.topology = t = world.topology() if topology is None else topology
+        outputs = t.neurons_of(t.output)
+        if (t.inputs, outputs.stop - outputs.start) != (len(world.inputs), len(world.outputs)):
+            raise ValueError(
+                f"the world has {len(world.inputs)} inputs and {len(world.outputs)} outputs, "
+                f"the network {t.inputs} and {outputs.stop - outputs.start}"
+            )
+        self.pairs: Whole = np.argwhere(world.pomdp.observations > 0.0)
+        if 2 ** (3 * t.neurons) * len(self.pairs) ** 2 > MOST_NUMBERS:
+            raise ValueError(
+                f"{t.neurons} neurons and {len(self.pairs)} states of the world make a table of "
+                f"2^{3 * t.neurons} × {len(self.pairs)}² numbers, the most is {MOST_NUMBERS:,}; "
+                "take fewer neurons"
+            )
+        self.policy = NetworkPolicy(t, world.vectors)
+        self.pomdp = self._pomdp()
+
+    def at(self, weights: Array) -> Chain:
+        """The chain for `weights` (synapses,), in the topology's order; raises ValueError."""
+        if weights.shape != (self.topology.synapses,) or not np.isfinite(weights).all():
+            raise ValueError(
+                f"weights must be finite and of shape ({self.topology.synapses},), "
+                f"got {weights.shape}"
+            )
+        return self.pomdp.under(self.policy, weights)
+
+    def synapses_onto(self, group: str) -> Whole:
+        """The numbers of all synapses onto the neurons of a group."""
+        neurons = self.topology.neurons_of(group)
+        post = self.policy.post
+        return np.flatnonzero((neurons.start <= post) & (post < neurons.stop))
+
+    def _pomdp(self) -> POMDP:
+        world, (x, y) = self.world.pomdp, self.pairs.T
+        outputs = self.topology.neurons_of(self.topology.output)
+        fired = self.policy.fired
+        commands = (2 ** np.arange(outputs.stop - outputs.start)) @ fired[outputs]
+        many, m = fired.shape[1], len(self.pairs)
+        moves = np.zeros((many, many, m, many, m))
+        for a, command in enumerate(commands):
+            moves[a, :, :, a] = world.transitions[command][np.ix_(x, x)] * world.observations[x, y]
+        sees = np.zeros((many, m, many, world.sights))
+        sees[np.arange(many)[:, None], np.arange(m), np.arange(many)[:, None], y] = 1.0
+        return POMDP(
+            moves.reshape(many, many * m, many * m),
+            sees.reshape(many * m, many * world.sights),
+            np.tile(world.rewards[x], many),
+        )
+
+
+def _ends(topology: Topology) -> tuple[Whole, Whole]:
+    """The neuron and the presynaptic unit of every synapse, in the topology's order."""
+    ends = []
+    for p in topology.projections:
+        first = np.array([[topology.neurons_of(p.post).start], [topology.first_unit(p.pre)]])
+        ends.append(first + np.indices(topology.shape(p)).reshape(2, -1))
+    post, pre = np.hstack(ends)
+    return post, pre

@@ -1,0 +1,82 @@
+"""What a command needs is compiled beside the page, which goes on and says so."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+
+from hebbviz.learner.learner import Learner
+from hebbviz.server.cli.training import announced_compiling, warm_up
+from hebbviz.server.live.commands import Choose, Command, Reset
+from hebbviz.server.run.changes import SetRule
+from hebbviz.server.run.run import Run
+
+SHORT_SECONDS = 0.25
+"""What is compiled already is ready before this; it is waited for."""
+
+
+Demanding = Choose | Reset | SetRule
+"""Commands after which other compiled code may be needed: of a task, a rule, a width of lanes."""
+
+
+class Preparation(threading.Thread):
+    """Has all compiled that is needed after a command, with a learner such as it makes."""
+
+    def __init__(self, command: Demanding, run: Run) -> None:
+        super().__init__(name="hebbviz compiler", daemon=True)
+        self.command, self._run = command, run
+        self._began, self._compiles = time.monotonic(), False
+
+    def run(self) -> None:
+        # what is wrong is said once the command itself fails by it
+        with contextlib.suppress(Exception), announced_compiling(self._note):
+            warm_up(_foreseen(self.command, self._run))
+
+    def is_ready(self) -> bool:
+        """Whether it is, or is within a short time."""
+        self.join(SHORT_SECONDS)
+        return not self.is_alive()
+
+    def words(self) -> str:
+        what = "Compiling" if self._compiles else "Preparing"
+        first = ", on this machine only this first time" if self._compiles else ""
+        seconds = time.monotonic() - self._began
+        return (
+            f"{what} for {self.command}{first}: {seconds:.0f} s so far. The run rests, and what "
+            "you ask for is done after that"
+        )
+
+    def _note(self) -> None:
+        self._compiles = True
+
+
+def prepare(command: Command, run: Run) -> Preparation | None:
+    """Begin what a command must wait for; None if it can be carried out at once."""
+    if not isinstance(command, Demanding) or _asks_nothing_new(command, run.learner):
+        return None
+    preparation = Preparation(command, run)
+    preparation.start()
+    return None if preparation.is_ready() else preparation
+
+
+def _asks_nothing_new(command: Demanding, learner: Learner) -> bool:
+    """Whether it goes with what is compiled: other parameters of the rule, the run anew."""
+    if isinstance(command, SetRule):
+        return command.rule.partition(":")[0] == learner.rule.name
+    return isinstance(command, Reset) and command.lanes is None and command.switch is None
+
+
+def _foreseen(command: Demanding, run: Run) -> Learner:
+    """A learner, at its start, such as the run has after the command; with a task of its own, so
+    that another thread may step it.
+    """
+    match command:
+        case Choose(task, preset, hidden):
+            return run.chosen(task, preset, hidden)
+        case Reset(seed, lanes, switch):
+            return run.restarted(run.made_again(switch), seed=seed, lanes=lanes)
+        case SetRule():
+            twin = run.learner.twin(run.made_again())
+            command.apply(twin)
+            return twin

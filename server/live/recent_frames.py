@@ -1,0 +1,94 @@
+"""The latest of what was shown, as far as it follows on without a leap."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
+
+from hebbviz.learner.frames import Block, Frame, join
+
+FRAMES = 200
+STEPS = 256
+MOST_BYTES = 100_000_000
+MANY = 50
+"""Times as many steps in one frame as in another are too many to be seen beside them."""
+
+
+class Trail:
+    """Frames that follow on one another, and every step of the latest stretch of them."""
+
+    def __init__(self) -> None:
+        self._frames: deque[Frame] = deque(maxlen=FRAMES)
+        self.recent: Block | None = None
+
+    def add(self, frame: Frame) -> None:
+        """Append a frame; after a leap begin anew."""
+        if self._frames and not _follows(frame, self._frames[-1]):
+            self._frames.clear()
+        if frame.since.steps or not self._frames:
+            self._frames.append(frame)
+        while len(self._frames) * _size(frame) > MOST_BYTES and len(self._frames) > 1:
+            self._frames.popleft()
+
+    def note(self, block: Block) -> None:
+        """Append steps; after a leap begin anew."""
+        parts = [block.tail(STEPS)]
+        if self.recent is not None and self.recent.end == parts[0].start:
+            parts.insert(0, self.recent)
+        self.recent = join(parts).tail(STEPS)
+
+    def clear(self) -> None:
+        self._frames.clear()
+        self.recent = None
+
+    @property
+    def frames(self) -> tuple[Frame, ...]:
+        return tuple(self._frames)
+
+
+class Seen:
+    """What is shown, one Frame after another. While nothing moves a Frame keeps the summary of the
+    steps that led to it, so that a page that skips pictures is told of them all the same.
+    """
+
+    def __init__(self) -> None:
+        self.leaps = 0
+        """How often what was shown did not follow on what was shown before."""
+        self._last: Frame | None = None
+
+    def see(self, frame: Frame) -> Frame:
+        """The Frame that is shown next, as it is to be seen."""
+        last = self._last
+        if last is None or not _follows(frame, last):
+            self.leaps += 1
+        elif not frame.since.steps:
+            frame = replace(frame, since=last.since)
+        self._last = frame
+        return frame
+
+    def forget(self) -> None:
+        """What is shown next has nothing to do with what was shown."""
+        self._last = None
+
+
+def _follows(frame: Frame, last: Frame) -> bool:
+    return frame.topology is last.topology and frame.step - frame.since.steps == last.step
+
+
+def moved(frames: Sequence[Frame]) -> list[Frame]:
+    """Those that stand for steps; a picture of a run that rests stands for none."""
+    return [f for f in frames if f.since.steps]
+
+
+def alike(frames: Sequence[Frame]) -> list[Frame]:
+    """The latest of those, as far as none stands for many more steps than the newest: beside the
+    thousands of a fast run, single steps after it would not be seen.
+    """
+    frames = moved(frames)
+    far = [k for k, f in enumerate(frames) if f.since.steps > MANY * frames[-1].since.steps]
+    return frames[far[-1] + 1 :] if far else frames
+
+
+def _size(frame: Frame) -> int:
+    return 3 * frame.weight.nbytes + 4096

@@ -1,0 +1,291 @@
+"""Line charts on one x axis in steps: several curves, and a mark where something was changed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+from viser import uplot
+
+from hebbviz.server.page.widgets import assign
+from hebbviz.sims.figures.palette import Rgb, css
+
+Array = NDArray[np.float64]
+Points = tuple[Array, Array]
+"""x in steps, ascending, and y; a y of NaN is left out."""
+
+Span = tuple[float, float]
+
+HEIGHT = 132
+WIDTH = 1.5
+"""Of a line, in pixels."""
+SHRINK = 0.4
+SHRINK_DRAWINGS = 40
+"""A vertical axis is made smaller when the curves did with this share of it so many times."""
+ROOM = 0.25
+"""Left free above and below, as a share of the curves' height, so that they seldom leave."""
+FLAT = 1e-3
+"""Curves that differ by less than this share of their values are drawn flat."""
+NOTHING, ROOM_OF_NOTHING = 1e-12, 0.4
+"""Curves below the first are 0, and have room for values to come."""
+WHOLE = (1.0, 2.0, 5.0, *(m * 10.0**k for k in range(1, 15) for m in (1, 2, 2.5, 5)))
+"""Between the numbers of an axis of steps: there is no half a step."""
+MOST_DECADES = 4
+"""Of a logarithmic axis of steps: uPlot writes the numbers of more than these over each other."""
+MARK_HEIGHT = 0.03
+MARK: Rgb = (150, 150, 160)
+CHANGED = "changed"
+CURSOR: Rgb = (240, 72, 112)
+
+
+class Cursor(NamedTuple):
+    """A step, and the ends of the run that it is in."""
+
+    at: float
+    first: float
+    last: float
+
+
+NO_MORE: Mapping[str, Rgb] = {}
+NO_WIDTHS: Mapping[str, float] = {}
+NO_BANDS: Mapping[str, tuple[Points, Points]] = {}
+
+UNNAMED = "hebbviz-unnamed"
+LEGENDS = f"""<style>.{UNNAMED} {{ display: none; }}
+.u-legend {{ pointer-events: none; }}</style>"""
+"""Keeps edges of bands, and what has no points yet, out of the legends, in which nothing can be
+switched off: the next drawing would bring it back. Each chart has it, for only tabs in front count.
+"""
+NO_POINTS: Points = np.zeros(0), np.zeros(0)
+BAND_STRENGTH = 0.3
+
+
+class Chart:
+    """A chart with fixed series, named and coloured; `draw` gives the points of each.
+
+    `container` is the tab or folder it stands in. Without a `span` its vertical axis holds still
+    until the curves leave it, and is then another: uPlot's own automatic range takes a NaN, which
+    leaves a point out, for a number. `log_steps`: a logarithmic horizontal axis, of steps above 0.
+
+    What differs is assigned to viser's plot, which takes another uPlot before the page is painted;
+    a plot that is removed and added would leave a hole on the page for a moment. The ends of the
+    horizontal axis are said with each drawing: those that viser's page would find for itself are
+    lost when data come in the moment in which a uPlot is made.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        container: Any,
+        title: str,
+        series: Mapping[str, Rgb],
+        *,
+        banded: Sequence[str] = (),
+        widths: Mapping[str, float] = NO_WIDTHS,
+        dashed: Sequence[str] = (),
+        dotted: Sequence[str] = (),
+        logarithmic: bool = False,
+        log_steps: bool = False,
+        legend: bool = True,
+        span: Span | None = None,
+        height: int = HEIGHT,
+    ) -> None:
+        self._usual, self._dashed, self._dotted = dict(series), frozenset(dashed), frozenset(dotted)
+        self._banded, self._widths = tuple(banded), dict(widths)
+        self._logarithmic = logarithmic
+        self._log_steps = log_steps
+        self._steps: Span = (1.0, 10.0)
+        self._holds = span is not None
+        self._span = span or (0.0, 1.0)
+        self._small_for = 0
+        looks = self._series(self._usual, (), has_cursor=False)
+        blank = [np.full(2, np.inf)] * (len(looks) - 1)
+        with container:
+            self._style = gui.add_html(LEGENDS)
+            self._plot = gui.add_uplot(
+                (np.array([1.0, 2.0]), *blank), looks, title=title, bands=self._bands(),
+                scales=self._scales(), height=height, legend={"show": legend, "live": False},
+                axes=self._axes(), padding=(8, 34, 0, 0), cursor={"show": False},
+            )  # fmt: skip
+
+    def draw(
+        self,
+        points: Mapping[str, Points],
+        marks: Sequence[float],
+        *,
+        bands: Mapping[str, tuple[Points, Points]] = NO_BANDS,
+        cursor: Cursor | None = None,
+        more: Mapping[str, Rgb] = NO_MORE,
+    ) -> None:
+        """Show the points of each series and a mark at each step of `marks`.
+
+        `more` names and colours series besides the usual ones; `cursor` is drawn as a line upwards;
+        `bands` are the least and greatest around each of the banded series.
+        """
+        colors = self._usual | dict(more)
+        curves = {name: points.get(name, NO_POINTS) for name in colors}
+        named = [name for name, (x, _) in curves.items() if len(x)]
+        steps = [curves[name][0] for name in named]
+        if not steps:
+            return
+        line = np.zeros(0)
+        if cursor is not None:
+            line = _upright(cursor)
+            steps.append(np.array([cursor.first, cursor.last]))
+        first, last = min(x[0] for x in steps), max(x[-1] for x in steps)
+        seen = np.unique([m for m in marks if first <= m <= last])
+        x = np.unique(np.concatenate([*steps, seen, line]))
+        columns = [edge for name in self._banded for edge in _edges_on(x, *bands[name])]
+        columns += [
+            (_dots_on if name in self._dotted else _line_on)(x, *curve)
+            for name, curve in curves.items()
+        ]
+        self._fit(np.concatenate(columns))
+        self._fit_steps(x)
+        if self._logarithmic:  # uPlot clamps NaN to the floor there, and leaves out infinity
+            columns = [np.where(np.isnan(c), np.inf, c) for c in columns]
+        if cursor is not None:
+            columns.append(_dots_on(x, line, np.array([0.0, 1.0])))
+        if len(seen):
+            named.append(CHANGED)
+        assign(self._plot, "series", self._series(colors, named, has_cursor=cursor is not None))
+        self._plot.scales = self._scales()  # also the same again: it is what makes a uPlot anew
+        self._plot.data = (x, *columns, _dots_on(x, seen, np.full(len(seen), MARK_HEIGHT)))
+
+    def show(self, seen: bool) -> None:
+        assign(self._plot, "visible", seen)
+
+    def remove(self) -> None:
+        self._style.remove()
+        self._plot.remove()
+
+    def _fit(self, values: Array) -> None:
+        """Another span of the vertical axis, if the values do not fit the one that is."""
+        values = values[np.isfinite(values)]
+        if self._holds or len(values) == 0:
+            return
+        low, high = float(values.min()), float(values.max())
+        wanted = _around(low, high)
+        fits = self._span[0] <= low and high <= self._span[1]
+        small = _width(wanted) < SHRINK * _width(self._span)
+        self._small_for = self._small_for + 1 if small else 0
+        if not fits or self._small_for >= SHRINK_DRAWINGS:
+            self._span, self._small_for = wanted, 0
+
+    def _fit_steps(self, x: Array) -> None:
+        """All steps, or the latest few powers of ten where their axis is logarithmic."""
+        first, last = float(x[0]), float(x[-1])
+        if self._log_steps:
+            high = max(1, math.ceil(math.log10(last)))
+            low = min(high - 1, max(high - MOST_DECADES, math.floor(math.log10(first))))
+            first, last = 10.0**low, 10.0**high
+        self._steps = first, max(last, first + 1.0)
+
+    def _series(
+        self, colors: Mapping[str, Rgb], named: Collection[str], *, has_cursor: bool
+    ) -> tuple[uplot.Series, ...]:
+        """The axis, the curves, the cursor if there is one, and last the marks; in the legend are
+        those that are `named`.
+        """
+        cursor = uplot.Series(
+            label="shown", stroke=css(CURSOR), width=2, points={"show": False}, scale="m"
+        )
+        curves = [self._curve(name, color) for name, color in colors.items()]
+        changed = uplot.Series(
+            label=CHANGED, stroke=css(MARK), width=0, points=_points(MARK, 9), scale="m"
+        )
+        for one in (*curves, changed):
+            if one["label"] not in named:
+                one["class"] = UNNAMED
+        edges = (_edge() for _ in range(2 * len(self._banded)))
+        cursors = (cursor,) if has_cursor else ()
+        return (uplot.Series(label="step"), *edges, *curves, *cursors, changed)
+
+    def _curve(self, name: str, color: Rgb) -> uplot.Series:
+        if name in self._dotted:
+            return uplot.Series(label=name, stroke=css(color), width=0, points=_points(color, 5))
+        dashed = name in self._dashed
+        line = uplot.Series(
+            label=name, stroke=css(color, 0.55 if dashed else 1.0),
+            width=self._widths.get(name, WIDTH), points={"show": False}, spanGaps=True,
+        )  # fmt: skip
+        if dashed:
+            line["dash"] = (5, 4)
+        return line
+
+    def _bands(self) -> tuple[uplot.Band, ...]:
+        """Each between two edges, which are the first of the series."""
+        return tuple(
+            uplot.Band(series=(2 * k + 2, 2 * k + 1), fill=css(self._usual[name], BAND_STRENGTH))
+            for k, name in enumerate(self._banded)
+        )
+
+    def _scales(self) -> Any:
+        y: dict[str, Any] = {"auto": False, "range": self._span}
+        if self._logarithmic:
+            y["distr"] = 3
+        x: dict[str, Any] = {"time": False, "auto": False, "range": self._steps}
+        if self._log_steps:
+            x["distr"] = 3
+        return {"x": x, "y": y, "m": {"auto": False, "range": (0.0, 1.0)}}
+
+    def _axes(self) -> Any:
+        steps: dict[str, Any] = {"size": 38, "space": 80}
+        steps |= {"ticks": {"show": False}} if self._log_steps else {"incrs": WHOLE}
+        return steps, {"size": 62, "ticks": {"show": not self._logarithmic}}
+
+
+def _upright(cursor: Cursor) -> Array:
+    """Two places so close together that a line between them is upright."""
+    return np.array([cursor.at, cursor.at + min(0.25, 1e-4 * (cursor.last - cursor.first))])
+
+
+def _around(low: float, high: float) -> Span:
+    """Round numbers outside of two numbers, with some room."""
+    room = max(high - low, FLAT * max(abs(low), abs(high)))
+    if room < NOTHING:
+        room = ROOM_OF_NOTHING
+    unit = 10.0 ** math.floor(math.log10(room)) / 2
+    low, high = low - ROOM * room, high + ROOM * room
+    return unit * math.floor(low / unit), unit * math.ceil(high / unit)
+
+
+def _width(span: Span) -> float:
+    return span[1] - span[0]
+
+
+def _points(color: Rgb, size: int) -> Any:
+    return {"show": True, "size": size, "fill": css(color), "stroke": css(color), "width": 1}
+
+
+def _edge() -> Any:
+    """A side of a band: its place matters, it is not drawn itself."""
+    return {"label": "", "width": 0, "points": {"show": False}, "class": UNNAMED}
+
+
+def _line_on(x: Array, own: Array, y: Array) -> Array:
+    """A line through (own, y) at the common axis x, NaN before and after it."""
+    if len(own) == 0:
+        return np.full(len(x), np.nan)
+    return np.where((x < own[0]) | (x > own[-1]), np.nan, np.interp(x, own, y))
+
+
+def _edges_on(x: Array, low: Points, high: Points) -> tuple[Array, Array]:
+    """As `_line_on`, but where there is no band its edges meet: a fill to a NaN goes astray."""
+    own = low[0]
+    if len(own) == 0:
+        return np.full(len(x), np.nan), np.full(len(x), np.nan)
+    edges = np.interp(x, own, low[1]), np.interp(x, own, high[1])
+    middle, outside = (edges[0] + edges[1]) / 2, (x < own[0]) | (x > own[-1])
+    return np.where(outside, middle, edges[0]), np.where(outside, middle, edges[1])
+
+
+def _dots_on(x: Array, own: Array, y: Array) -> Array:
+    """The points (own, y) on the common axis x, NaN elsewhere."""
+    column = np.full(len(x), np.nan)
+    column[np.searchsorted(x, own)] = y
+    return column

@@ -1,0 +1,142 @@
+"""What all controls share: a widget becomes a command, and follows what holds.
+
+One run serves all tabs, so a widget shows the run's state, whoever changed it. A callback only
+makes a command; a value that is refused is said in a notice and the widget goes back.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import viser
+from viser._messages import GuiUpdateMessage
+
+from hebbviz.server.live.commands import Command
+from hebbviz.server.live.snapshot import Snapshot
+
+QUIET_SECONDS = 2.5
+"""A widget that was just moved by hand is not set back to the run's value before this."""
+
+Send = Callable[[Command], None]
+Notify = Callable[[str], None]
+
+
+class Widgets:
+    """Ties widgets of one panel to commands, and keeps them from being moved under a hand."""
+
+    def __init__(self, gui: viser.GuiApi, send: Send, notify: Notify) -> None:
+        self.gui, self._send, self._notify = gui, send, notify
+        self._touched: dict[str, float] = {}
+        self._put_before: dict[str, Any] = {}
+        self._holds: dict[str, Any] = {}
+        self._snapshot: Snapshot | None = None
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """What holds; raises ValueError before anything does."""
+        if self._snapshot is None:
+            raise ValueError("the run is only starting: try again in a moment")
+        return self._snapshot
+
+    def follow(self, snapshot: Snapshot) -> None:
+        """Take note of what holds, before any widget is set to it."""
+        if self._snapshot is not None and self._snapshot.run.number != snapshot.run.number:
+            self._touched.clear()  # after an undo or a reset, what was typed before is past
+        self._snapshot = snapshot
+
+    def when(self, handle: Any, command: Callable[[Any], Command | None]) -> None:
+        """Send what `command` makes of a widget's new value, when a page changed it.
+
+        A page sends what is typed once it is whole, on Enter or as the field is left (`style`). A
+        value that is refused, wiped out, or what holds already leaves its field again.
+        """
+        key = _key(handle)
+
+        def changed(event: Any) -> None:
+            if event.client is None:
+                return
+            self._touched[key] = time.monotonic()
+            self._put_before.pop(key, None)
+            if handle.value == "" or not self.attempt(lambda: command(handle.value)):
+                self._put_back(handle)
+
+        if isinstance(handle, viser.GuiButtonGroupHandle):
+            handle.on_click(changed)
+        else:
+            handle.on_update(changed)
+
+    def press(self, handle: Any, command: Callable[[], Command | None]) -> None:
+        """Send a command when a button is pressed."""
+        handle.on_click(lambda _: self.attempt(command))
+
+    def key(self, label: str, key: Any, command: Callable[[], Command | None]) -> Any:
+        """Send a command when a key is pressed, or its label chosen in the list of commands."""
+        handle = self.gui.add_command(label, hotkey=key)
+
+        def act(_: Any) -> None:
+            self.attempt(command)
+
+        handle.on_trigger(act)
+        return handle
+
+    def attempt(self, command: Callable[[], Command | None]) -> bool:
+        """Make a command and send it, and say whether there is one; what is refused is a notice."""
+        try:
+            made = command()
+        except ValueError as error:
+            self._notify(str(error))
+            return False
+        if made is not None:
+            self._send(made)
+        return made is not None
+
+    def _put_back(self, handle: Any) -> None:
+        """Show what holds again, also on a page that had something else typed in."""
+        key = _key(handle)
+        if key in self._holds:
+            self._touched.pop(key, None)
+            self._put_before[key] = self._holds[key]
+            assign(handle, "value", self._holds[key])
+            _tell_again(handle)
+
+    def put(self, handle: Any, value: Any, *, quiet: float = QUIET_SECONDS) -> None:
+        """Set a widget to what holds, when that has become another or was lately touched by hand.
+
+        A widget that merely differs is left alone: a hand may be at it.
+        """
+        key = _key(handle)
+        self._holds[key] = value
+        touched = self._touched.get(key)
+        if touched is not None:
+            if time.monotonic() - touched < quiet:
+                return
+            self._touched.pop(key, None)
+            if handle.value == value:
+                _tell_again(handle)
+        elif self._put_before.get(key) == value:
+            return
+        self._put_before[key] = value
+        assign(handle, "value", value)
+
+
+def _key(handle: Any) -> str:
+    """What no other widget has, before it or after it."""
+    uuid: str = handle._impl.uuid  # noqa: SLF001
+    return uuid
+
+
+def _tell_again(handle: Any) -> None:
+    """Send pages the value that a widget has here: one that crossed what a hand was doing there
+    may have come last, and viser sends none that is the same here.
+    """
+    impl = handle._impl  # noqa: SLF001
+    update = GuiUpdateMessage(impl.uuid, {"value": impl.value})
+    impl.gui_api._websock_interface.queue_message(update)  # noqa: SLF001
+
+
+def assign(handle: Any, name: str, value: Any) -> None:
+    """Assign only what differs: each assignment is a message to every tab."""
+    if getattr(handle, name) != value:
+        setattr(handle, name, value)

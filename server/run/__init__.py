@@ -1,0 +1,1 @@
+"""A run: its learner, its commands, its history and its keyframes."""

@@ -1,0 +1,115 @@
+"""What many lanes did, as a line in the middle of them and a band around it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hebbviz.server.run.event_windows import pooled, pools
+from hebbviz.server.run.history import Curves, Totals
+from hebbviz.task.base import Measure, Tally, Task
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Spread:
+    """At steps `x`: the `middle` of all lanes and the band from `low` to `high`, (n,) each.
+
+    Mean and mean ± standard deviation; of a time to an event, or where the measure is logarithmic,
+    median and quartiles. A lane in which the measure's event was not seen counts as longer than all
+    others: infinite.
+    """
+
+    x: Array
+    low: Array
+    middle: Array
+    high: Array
+
+    @classmethod
+    def of(cls, x: Array, values: Array, measure: Measure) -> Spread:
+        """Of `values` (n, lanes)."""
+        if goes_by_rank(measure):
+            low, middle, high = quantiles(values, (0.25, 0.5, 0.75))
+        else:
+            middle, deviation = values.mean(axis=1), np.nan_to_num(deviation_of(values))
+            low, high = middle - deviation, middle + deviation
+        return cls(x, low, middle, high)
+
+
+def middle_of(values: Array, measure: Measure) -> float:
+    """The middle of lanes (lanes,), as `Spread` has it."""
+    return float(median(values) if goes_by_rank(measure) else values.mean())
+
+
+def goes_by_rank(measure: Measure) -> bool:
+    """Whether lanes are told by their median: their mean says little, or is infinite."""
+    return measure.logarithmic or bool(measure.event)
+
+
+def deviation_of(values: Array, axis: int = -1) -> Array:
+    """The standard deviation of a sample, with n − 1; NaN for one value, which has none."""
+    if values.shape[axis] > 1:
+        spread: Array = np.std(values, axis=axis, ddof=1)
+        return spread
+    return np.full_like(values.mean(axis=axis), np.nan)
+
+
+def quantiles(values: Array, shares: Sequence[float]) -> Array:
+    """Quantiles along the last axis, (..., lanes) in and (shares, ...) out: NumPy's usual ones, but
+    that values may be infinite.
+    """
+    ranked = np.sort(values, axis=-1)
+    place = np.asarray(shares) * (values.shape[-1] - 1)
+    below, above = np.floor(place).astype(int), np.ceil(place).astype(int)
+    low, high = np.moveaxis(ranked[..., below], -1, 0), np.moveaxis(ranked[..., above], -1, 0)
+    with np.errstate(invalid="ignore"):
+        steps = (high - low) * (place - below).reshape(-1, *[1] * (low.ndim - 1))
+    return np.where(low == high, low, low + steps)
+
+
+def median(values: Array) -> Array:
+    """Over the last axis; values may be infinite."""
+    middle: Array = quantiles(values, (0.5,))[0]
+    return middle
+
+
+def names(measure: Measure) -> tuple[str, str]:
+    """What the middle and the band are."""
+    if goes_by_rank(measure):
+        return "median", "quartiles"
+    return "mean", "± standard deviation"
+
+
+class Scores:
+    """A task's measure of every window and lane; a window that has not changed is kept."""
+
+    def __init__(self, task: Task) -> None:
+        self._task = task
+        self._known: dict[tuple[Totals, Totals], Array] = {}
+
+    def of(self, curves: Curves) -> Array:
+        """The values, (windows, lanes); of a time to an event those of the pools of windows."""
+        windows = list(zip(curves.edges, curves.edges[1:], strict=False))
+        known = self._known
+        self._known = {w: known[w] if w in known else self._score(*w) for w in windows}
+        found = np.array(list(self._known.values())).reshape(-1, curves.lanes, 3)
+        value, events, time = np.moveaxis(found, -1, 0)
+        if not self._task.measure.event:
+            return value
+        places = pools(events)
+        events, time = pooled(events, places), pooled(time, places)
+        return np.divide(time, events, out=np.full_like(time, np.inf), where=events > 0)
+
+    def spread(self, curves: Curves) -> Spread:
+        end = np.array([t.steps for t in curves.edges[1:]], dtype=np.float64)
+        return Spread.of(end, self.of(curves), self._task.measure)
+
+    def _score(self, start: Totals, end: Totals) -> Array:
+        """Of one window: value, events and their time, (lanes, 3)."""
+        steps = end.steps - start.steps
+        scores = [self._task.score(Tally(steps, *s)) for s in (end.sums - start.sums).T.tolist()]
+        return np.array([(s.value, s.events or 0, s.time) for s in scores])

@@ -1,0 +1,1 @@
+"""Network and world in 3D."""

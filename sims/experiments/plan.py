@@ -1,0 +1,226 @@
+"""What an experiment runs, and what comes of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+import hebbviz
+from hebbviz.learner.learner import Learner
+from hebbviz.rules.base import Rule
+from hebbviz.sims.loading import load_rule, make_task
+from hebbviz.sims.user_file import neighbours, own_file, own_files
+from hebbviz.task.base import Tally, Task
+
+Array = NDArray[np.float64]
+
+LONG = 5 * 10**9
+"""Steps of one lane from which on it pays to compile for the one network of a plan."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """Lanes of one task, from their start, in equal segments: the points of a learning curve.
+
+    Lane k of a seed is the same run in every plan, whatever lanes stand beside it (unless the rule
+    lets lanes touch each other). A plan can be pickled, and as JSON it is the name under which
+    what was done is kept.
+
+    Parameters
+    ----------
+    task, preset : by name, or a user's own as path.py:Name, which workers elsewhere look for at
+        the same whole path.
+    hidden, beta, gamma : None for those of the task and its preset.
+    lanes : how many replicas, from number `first_lane` on.
+    segments, segment_steps : points of the curve, and steps of each.
+    evaluate : a frozen copy is evaluated before the first segment and after every so many; 0 for
+        never.
+    evaluate_at : and at these steps, each the end of a segment.
+    options : whatever else a `Learner` takes by keyword; numbers and strings, the rule as
+        `load_rule` reads it.
+    """
+
+    task: str
+    preset: str | None = None
+    hidden: tuple[int, ...] | None = None
+    beta: float | None = None
+    gamma: float | None = None
+    seed: int = 0
+    first_lane: int = 0
+    lanes: int = 16
+    segments: int
+    segment_steps: int
+    evaluate: int = 0
+    evaluate_at: tuple[int, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, least in (("lanes", 1), ("segments", 1), ("segment_steps", 1), ("evaluate", 0)):
+            if getattr(self, name) < least:
+                raise ValueError(f"{name} must be {least} or more, got {getattr(self, name)}")
+
+    @property
+    def steps(self) -> int:
+        """Steps of each lane in all."""
+        return self.segments * self.segment_steps
+
+    def make_task(self) -> Task:
+        """The task at its preset, compiled where it can be; raises ValueError and TaskError as
+        `make_task` does.
+        """
+        return make_task(self.task, self.preset).in_lanes()
+
+    def rule(self) -> Rule:
+        """The rule of the options, or of the task's preset; raises as `load_rule`, `make_task`."""
+        spec = self.options.get("rule") or self.make_task().preset.rule
+        return _rule(spec, _text(spec))
+
+    def learner(self, first_lane: int, lanes: int) -> Learner:
+        """Some of the lanes at their start; raises ValueError and TaskError as `Learner` does."""
+        return Learner(
+            self.make_task(), hidden=self.hidden, beta=self.beta, gamma=self.gamma, seed=self.seed,
+            first_lane=first_lane, lanes=lanes, written_out=lanes * self.steps >= LONG,
+            **{**self.options, "rule": self.rule()},
+        )  # fmt: skip
+
+    def for_workers(self) -> Self:
+        """This plan with the whole paths of a user's own files, for workers in other folders."""
+        options = dict(self.options)
+        if "rule" in options:
+            options["rule"] = _whole(options["rule"])
+        return replace(self, task=_whole(self.task), options=options)
+
+    def own(self) -> dict[str, Path]:
+        """The user's own files in it, as `own_files` says."""
+        return own_files(self.task, self.options.get("rule"))
+
+    def evaluates_at(self, step: int) -> bool:
+        """Whether a frozen copy is evaluated at this step, which is the end of a segment, or 0."""
+        regularly = self.evaluate > 0 and step % (self.evaluate * self.segment_steps) == 0
+        return regularly or step in self.evaluate_at
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    def digest(self) -> str:
+        """Tells this plan from all others, under this version and with these texts of a user's task
+        and rule, wherever their files are.
+
+        Raises OSError if such a file cannot be read.
+        """
+        options = dict(self.options)
+        if "rule" in options:
+            options["rule"] = _content(options["rule"])
+        said = self.to_json() | {"task": _content(self.task), "options": options}
+        content = json.dumps([hebbviz.__version__, said], sort_keys=True)
+        return hashlib.sha256(content.encode()).hexdigest()[:16]
+
+
+@cache
+def _rule(spec: str, _text: bytes) -> Rule:
+    """Made once for every text of its file: what is compiled of it is kept with its class."""
+    return load_rule(spec)
+
+
+def _text(spec: str) -> bytes:
+    """Of a user's own file and the modules beside it that it imports, in whatever encoding; of what
+    has none, nothing.
+    """
+    file, _ = own_file(spec)
+    if file is None:
+        return b""
+    texts = [file, *(path for _, path in sorted(neighbours(file).items()))]
+    return b"".join(path.read_bytes() for path in texts)
+
+
+def _content(spec: str) -> list[str]:
+    """What a spec says, wherever its file is."""
+    _, name = own_file(spec)
+    return [name, _text(spec).decode(errors="surrogateescape")]
+
+
+def _whole(spec: str) -> str:
+    """A spec with the whole path of its file."""
+    file, name = own_file(spec)
+    return spec if file is None else f"{file.resolve()}:{name}"
+
+
+class _Asked(Protocol):
+    @property
+    def rule(self) -> str | None: ...
+    @property
+    def fall(self) -> float | None: ...
+
+
+def options_of(asked: _Asked) -> dict[str, Any]:
+    """A plan's options for the rule and the fall of γ that were asked for; None is the preset's."""
+    options = {"rule": asked.rule, "fall": asked.fall}
+    return {name: value for name, value in options.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class Curves:
+    """What came of a plan, lane by lane.
+
+    `end` (segments,) is the step at the end of each segment; `reward`, `broadcast` and `ended`
+    (lanes, segments) are totals over the segment, of `steps` each. Frozen copies were evaluated at
+    the steps `evaluated_at` (k,); `figures` (lanes, k) by the names of `Task.evaluate`.
+    """
+
+    end: NDArray[np.int64]
+    steps: int
+    reward: Array
+    broadcast: Array
+    ended: Array
+    evaluated_at: NDArray[np.int64]
+    figures: Mapping[str, Array]
+
+    def tally(self, lane: int, segments: slice = slice(None)) -> Tally:
+        """Totals of one lane over some of the segments, by default all."""
+        reward, broadcast, ended = (
+            a[lane, segments] for a in (self.reward, self.broadcast, self.ended)
+        )
+        return Tally(self.steps * len(reward), reward.sum(), broadcast.sum(), ended.sum())
+
+    def scores(self, task: Task) -> dict[str, Array]:
+        """The figures of the task's measure in every segment, each (lanes, segments)."""
+        lanes, segments = self.reward.shape
+        return figures_of(task, [
+            [self.tally(lane, slice(k, k + 1)) for k in range(segments)] for lane in range(lanes)
+        ])  # fmt: skip
+
+    def last(self, part: float = 0.2) -> list[Tally]:
+        """Totals of each lane over the last part of its segments, at least one."""
+        count = max(1, round(part * len(self.end)))
+        return [self.tally(lane, slice(-count, None)) for lane in range(len(self.reward))]
+
+
+def figures_of(task: Task, tallies: Sequence[Sequence[Tally]]) -> dict[str, Array]:
+    """The figures of the task's measure, each of the shape of `tallies`, (lanes, n)."""
+    found = [[task.measure.figures(task.score(tally)) for tally in lane] for lane in tallies]
+    return {key: np.array([[f[key] for f in lane] for lane in found]) for key in task.measure.keys}
+
+
+def joined(curves: Sequence[Curves], lanes: int) -> Curves:
+    """Curves of the same steps, their lanes one after another: so many, or it raises ValueError."""
+    first = curves[0]
+    found = sum(len(c.reward) for c in curves)
+    if found != lanes:
+        raise ValueError(f"curves of {lanes} lanes were to be joined, got {found}")
+
+    def stacked(name: str) -> Array:
+        return np.concatenate([getattr(c, name) for c in curves])
+
+    return Curves(
+        first.end, first.steps, stacked("reward"), stacked("broadcast"), stacked("ended"),
+        first.evaluated_at,
+        {name: np.concatenate([c.figures[name] for c in curves]) for name in first.figures},
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Terminal, signals, output and arguments: what every command shares."""
