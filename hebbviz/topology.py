@@ -42,6 +42,7 @@ class Projection:
 
     @property
     def name(self) -> str:
+        """Name of the projection: presynaptic → postsynaptic group."""
         return f"{self.pre} → {self.post}"
 
 
@@ -86,10 +87,12 @@ class Topology:
 
     @property
     def input_groups(self) -> tuple[Group, ...]:
+        """Groups of inputs."""
         return tuple(g for g in self.groups if g.is_input)
 
     @property
     def neuron_groups(self) -> tuple[Group, ...]:
+        """Groups of neurons."""
         return tuple(g for g in self.groups if not g.is_input)
 
     @cached_property
@@ -109,6 +112,7 @@ class Topology:
 
     @property
     def synapses(self) -> int:
+        """Number of synapses."""
         return sum(self.shape(p)[0] * self.shape(p)[1] for p in self.projections)
 
     def fits_in(self, rows: int) -> bool:
@@ -118,6 +122,7 @@ class Topology:
         return self.synapses + sum(group.size for group in self.groups) <= rows
 
     def group(self, name: str) -> Group:
+        """The group called `name`."""
         return next(g for g in self.groups if g.name == name)
 
     def first_unit(self, name: str) -> int:
@@ -130,10 +135,12 @@ class Topology:
         raise KeyError(name)
 
     def units_of(self, name: str) -> slice:
+        """Slice of the units of a group; inputs come before neurons."""
         start = self.first_unit(name)
         return slice(start, start + self.group(name).size)
 
     def neurons_of(self, name: str) -> slice:
+        """Slice of the neurons of a group."""
         start = self.first_unit(name) - self.inputs
         return slice(start, start + self.group(name).size)
 
@@ -171,6 +178,7 @@ class Topology:
         return "-".join(str(g.size) for g in self.groups)
 
     def to_json(self) -> dict[str, Any]:
+        """The topology as values for JSON."""
         return {
             "groups": [[g.name, g.size, g.is_input] for g in self.groups],
             "projections": [[p.pre, p.post] for p in self.projections],

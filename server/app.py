@@ -6,7 +6,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 from hebbviz.server.cli.training import announced_compiling, warm_up
 from hebbviz.server.live.commands import SetSpeed
@@ -35,9 +35,45 @@ SHUTDOWN_SECONDS = 1.0
 COMPILING = "compiling for this machine: about 15 s, only this first time"
 
 
+class AccessOptions(TypedDict, total=False):
+    """Who may reach the page, see `Access`."""
+
+    allow_hosts: Sequence[str]
+    token: bool | None
+    frame_from: Sequence[str]
+
+
+class Served:
+    """A page that is served in a thread. Use it in a `with` statement, or call `stop`."""
+
+    def __init__(self, site: Site) -> None:
+        self._site, self._stop = site, threading.Event()
+        self._thread = threading.Thread(
+            target=lambda: site.run(self._stop, open_browser=False), name="hebbviz", daemon=True
+        )
+        self._thread.start()
+
+    @property
+    def link(self) -> str:
+        """The address to open in a browser, with its token if it needs one."""
+        return self._site.link
+
+    def stop(self) -> None:
+        """Stop the run, close the page and finish a recording."""
+        self._stop.set()
+        self._thread.join()
+
+    def __enter__(self) -> Served:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+
 def serve(
     learner: Learner,
     *,
+    block: bool = True,
     host: str = "127.0.0.1",
     port: int | None = None,
     speed: Speed | None = None,
@@ -45,38 +81,54 @@ def serve(
     task_name: str | None = None,
     recording: Options | None = None,
     stop: threading.Event | None = None,
-    allow_hosts: Sequence[str] = (),
-    token: bool | None = None,
-    frame_from: Sequence[str] = (),
-) -> None:
-    """Show `learner` on a page and let it run, until Ctrl-C, SIGTERM or `stop`.
+    **access: Unpack[AccessOptions],
+) -> Served | None:
+    """Show `learner` on a page and let it run.
 
-    It listens at `host` and `port`; with no port, at the default one or the next free one above
-    it. `speed` is in steps per second, or 'realtime' or 'max'; by default what suits the task.
-    `task_name` is what the user calls the task, where that is not its own name. `recording` says
-    what to record. `stop` is an event that ends it, for programs that run this in a thread.
+    Args:
+        learner: The learner. Leave it alone while it is served.
+        block: Return only after Ctrl-C, SIGTERM or `stop`. With False the page is served in a
+            thread, and a `Served` with its link is returned.
+        host: Address to listen on.
+        port: Port to listen on (0: any free one); None: 8080 or the next free one above it.
+        speed: Steps per second, 'realtime' or 'max'; None: a speed that suits the task.
+        open_browser: Open the page in the default browser.
+        task_name: Name of the task, if it is not the task's own: `path.py:Name` for example.
+        recording: What to record.
+        stop: Event that ends it, for programs that call this in a thread.
+        allow_hosts: Names, as NAME or NAME:PORT, under which the page may be reached too.
+        token: Whether the link must hold a token; None: only if other machines can reach the page.
+        frame_from: Origins, such as http://localhost:8888, that may show the page in a frame (a
+            notebook).
 
-    `allow_hosts` are names, as NAME or NAME:PORT, under which the page is reached besides its own;
-    `token` says whether its link must hold a token, by default where others than this machine can
-    reach it; `frame_from` are origins, such as http://localhost:8888, whose pages may show it in a
-    frame (a notebook).
-
-    Raises ValueError if one of these is out of range or the task has no dt to run at 'realtime',
+    Raises ValueError if a value is out of range or the task has no time step to run at 'realtime',
     OSError if the address cannot be listened on, and TaskError if the task fails in its first
     steps; later failures are shown on the page.
     """
-    access = Access(tuple(allow_hosts), token, tuple(frame_from))
+    rights = Access(
+        tuple(access.get("allow_hosts", ())),
+        access.get("token"),
+        tuple(access.get("frame_from", ())),
+    )
 
     def prepare() -> Site:
         with announced_compiling(lambda: _say(COMPILING)):
             return Site(
-                learner, host=host, port=port, speed=speed, task_name=task_name,
-                recording=recording, access=access,
-            )  # fmt: skip
+                learner,
+                host=host,
+                port=port,
+                speed=speed,
+                task_name=task_name,
+                recording=recording,
+                access=rights,
+            )
 
+    if not block:
+        return Served(prepare())
     with Interrupts(stop) as interrupts:
         site = interrupts.prepare(prepare)
         site.run(interrupts.stop, open_browser=open_browser)
+    return None
 
 
 class Site:

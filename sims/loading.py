@@ -12,7 +12,8 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, TypeVar
 
-from hebbviz.learner.learner import TaskError
+from hebbviz.learner import saves
+from hebbviz.learner.learner import Learner, TaskError
 from hebbviz.rules.base import Rule, make_rule, register
 from hebbviz.sims import task_class
 from hebbviz.sims.user_file import neighbours, own_file
@@ -39,6 +40,19 @@ def make_task(name: str, preset: str | None = None) -> Task:
     if own_file(name)[0] is not None:
         return _make(_class_from_file(name, Task), name, preset)
     return _make(task_class(name), name, preset)
+
+
+def load(path: str | Path) -> Learner:
+    """The learner that `save` or `hebbviz train --save` saved, with its task.
+
+    Raises
+    ------
+    saves.BadFile
+        If the file is not a save or is damaged.
+    ValueError
+        If it was saved with a task that no longer exists.
+    """
+    return saves.load(path, make_task)
 
 
 def load_rule(spec: str) -> Rule:

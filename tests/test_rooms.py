@@ -16,6 +16,7 @@ ROOT = Path(__file__).parents[1]
 ROOMS = (
     "hebbviz", "hebbviz.limits", "hebbviz.numerics", "hebbviz.topology", "hebbviz.reference",
     "hebbviz.theory", "hebbviz.task", "hebbviz.rules", "hebbviz.engine", "hebbviz.learner",
+    "hebbviz.conformance",
     "hebbviz.sims", "hebbviz.sims.program", "hebbviz.sims.experiments", "hebbviz.sims.figures",
     "hebbviz.sims.sweep",
     "hebbviz.server.web", "hebbviz.server.scene", "hebbviz.server.run", "hebbviz.server.recording",
@@ -109,7 +110,9 @@ def graph() -> dict[str, set[str]]:
 
 
 def test_imports_go_down(graph: dict[str, set[str]]) -> None:
-    up = {(a, b) for a, names in graph.items() for b in names if room(b) > room(a)}
+    """But for the public API, which imports each of its names when it is first used."""
+    lazily = graph.keys() & {"hebbviz"}
+    up = {(a, b) for a in graph.keys() - lazily for b in graph[a] if room(b) > room(a)}
     assert up == STILL_UP
 
 

@@ -234,6 +234,7 @@ class Learner:
 
     @property
     def beta(self) -> float:
+        """Trace decay β of lane 0."""
         tile, lane = self._tiles.place_of(0)
         return float(tile.betas(lane)[0])
 
@@ -244,6 +245,7 @@ class Learner:
 
     @property
     def gamma_in_force(self) -> float:
+        """Step size γ as decayed so far, in lane 0; 0 while learning is frozen."""
         tile, lane = self._tiles.place_of(0)
         return float(tile.read_lane("gamma", lane)[0])
 
@@ -254,6 +256,7 @@ class Learner:
 
     @property
     def rule(self) -> Rule:
+        """The learning rule."""
         return self._rule
 
     @property
@@ -263,6 +266,7 @@ class Learner:
 
     @property
     def frozen(self) -> bool:
+        """Whether γ is held at 0."""
         return self._frozen
 
     @property

@@ -113,6 +113,7 @@ class Rule:
 
     @property
     def constants(self) -> Array:
+        """The parameters, (parameters,) float64, in the order of the fields."""
         return np.array([getattr(self, f.name) for f in dataclasses.fields(self)], dtype=float)
 
     def compiled(self) -> tuple[Any, Any]:

@@ -3,7 +3,7 @@
 A task is a small partially observable decision process with all of its state in one array of
 numbers. Its parts are separate functions, and each is pure: the next state depends on nothing but
 the state, the action and the draws. That alone makes runs repeatable, saves exact, and lets the
-page rewind. `tests/support/conformance.py` checks any task against this contract.
+page rewind. `hebbviz/conformance.py` checks any task against this contract.
 """
 
 from __future__ import annotations
@@ -377,6 +377,7 @@ class Task:
     # What a learner starts from
 
     def topology(self, hidden: Sequence[int] | None = None) -> Topology:
+        """The network for the task: feedforward, with the preset's hidden layers unless given."""
         own = self.hidden if self.preset.hidden is None else self.preset.hidden
         sizes = own if hidden is None else tuple(hidden)
         return feedforward(len(self.inputs), sizes, len(self.outputs), activity=self.activity)

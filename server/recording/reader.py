@@ -23,6 +23,7 @@ from hebbviz.server.run.changes import Logged
 from hebbviz.server.run.history import History, Totals
 from hebbviz.server.run.keyframes import MOST_BYTES, Moment, Tape
 from hebbviz.server.run.run import MakeTask, Run
+from hebbviz.sims.loading import make_task
 from hebbviz.task.base import Tally, Task
 
 Array = NDArray[np.float64]
@@ -68,12 +69,19 @@ class Recording:
             made.add(Totals.of_one(total))
         return made
 
-    def run(self, make_task: MakeTask, task: Task, task_name: str | None = None) -> Run:
+    def run(
+        self,
+        make_task: MakeTask = make_task,
+        task: Task | None = None,
+        task_name: str | None = None,
+    ) -> Run:
         """The run at its last step, with all that is needed to go back in it.
 
-        Raises BadRecording if the recording does not fit the task.
+        `make_task` makes tasks by name and preset; `task` is the recorded one, by default made from
+        the header. Raises BadRecording if the recording does not fit the task.
         """
         header = self.header
+        task = make_task(header.task, header.preset) if task is None else task
         try:
             learner = Learner(
                 task, topology=header.topology, beta=header.beta, gamma=header.gamma,

@@ -56,6 +56,20 @@ class Work:
             )
 
 
+def figure(name: str, out: str | Path = ".", **options: Any) -> dict[str, Any]:
+    """Make one of the paper's figures in the folder `out`: PNG, SVG and CSV.
+
+    `name` is one of `request.KINDS`; `options` are those of `hebbviz figure`, such as quick=True or
+    lanes=16. Returns the figure's numbers and the paths of its files. Raises InputError for an
+    option that the figure does not take, ValueError for a value out of range.
+    """
+    if name not in KINDS:
+        raise InputError(f"there is no figure {name!r}; choose from {', '.join(KINDS)}")
+    made = make(Order(name=name, out=Path(out), **options), threading.Event())
+    assert made is not None, "nobody stops it"
+    return made
+
+
 def make(order: Order, stop: threading.Event) -> dict[str, Any] | None:
     """Make the figure of an order; returns what it comes to, fit for strict JSON.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hebbviz.rules import Rule
+from hebbviz import Rule
 
 
 class Half(Rule):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hebbviz.task import Input, Output, Preset, Task
+from hebbviz import Input, Output, Preset, Task
 
 
 class Lever(Task):

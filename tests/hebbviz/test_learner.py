@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conformance import same_learner
 
+from hebbviz.conformance import same_learner
 from hebbviz.learner.frames import join
 from hebbviz.learner.learner import Learner
 from hebbviz.learner.saves import load, save

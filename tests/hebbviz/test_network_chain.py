@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from conformance import check_task
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hebbviz.conformance import check_task
 from hebbviz.learner.learner import Learner
 from hebbviz.sims.lamps import Lamps, small_example
 from hebbviz.task.base import Output, Preset

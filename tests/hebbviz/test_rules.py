@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conformance import check_rule, same_learner
 
 from hebbviz import sims
+from hebbviz.conformance import check_rule, same_learner
 from hebbviz.engine.loop import FALL_EVERY
 from hebbviz.learner.learner import Learner, TaskError
 from hebbviz.learner.saves import BadFile, load, save

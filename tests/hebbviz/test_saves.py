@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conformance import same_learner
 
+from hebbviz.conformance import same_learner
 from hebbviz.learner.learner import Learner, TaskError
 from hebbviz.learner.saves import FORMAT, BadFile, load, save
 from hebbviz.sims.loading import make_task

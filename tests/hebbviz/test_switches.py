@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 
 import pytest
-from conformance import same_learner
 
+from hebbviz.conformance import same_learner
 from hebbviz.learner import saves
 from hebbviz.learner.learner import Learner
 from hebbviz.server.cli.main import main

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from conformance import check_task
 
+from hebbviz.conformance import check_task
 from hebbviz.engine.layout import WIDTHS
 from hebbviz.learner.learner import Learner
 from hebbviz.learner.saves import load, save

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conformance import same_learner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hebbviz.conformance import same_learner
 from hebbviz.learner.frames import Keyframe, join
 from hebbviz.learner.learner import Learner
 from hebbviz.server.live.commands import (

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conformance import same_learner
 
+from hebbviz.conformance import same_learner
 from hebbviz.learner.frames import Block, join
 from hebbviz.learner.learner import Learner
 from hebbviz.server.recording.export import export_steps, export_timelines

@@ -5,8 +5,8 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
-from conformance import same_learner
 
+from hebbviz.conformance import same_learner
 from hebbviz.learner.learner import Learner
 from hebbviz.numerics.counter_rng import FIRST_EPISODE, Draws
 from hebbviz.reference import Reference

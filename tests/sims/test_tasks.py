@@ -6,7 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from conformance import (
+
+from hebbviz.conformance import (
     CHECKS,
     MakeTask,
     check_attributes,
@@ -14,7 +15,6 @@ from conformance import (
     check_evaluation,
     same_learner,
 )
-
 from hebbviz.engine.loop import WORLD
 from hebbviz.learner.learner import Learner, TaskError
 from hebbviz.numerics import counter_rng

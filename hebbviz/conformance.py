@@ -1,6 +1,6 @@
-"""What any task must keep to. In a test of your own task:
+"""Checks that a task or a rule keeps its contract. In a test of your own task:
 
-from conformance import check_task
+from hebbviz.conformance import check_task
 from mine import MyTask
 
 def test_my_task():
@@ -282,12 +282,11 @@ def _are_told(task: Task, figures: Mapping[str, ArrayLike]) -> bool:
 
 def check_compiled(make_task: MakeTask) -> None:
     """A compiled answer is, to the bit, what the methods say."""
-    if not isinstance(make_task(), CompiledTask):
+    task = make_task()
+    if not isinstance(task, CompiledTask):
         return
     steps = 3 * STEPS
-    compiled, plain = (
-        Learner(task, seed=5, lanes=3) for task in (make_task(), Interpreted(make_task()))
-    )
+    compiled, plain = (Learner(t, seed=5, lanes=3) for t in (make_task(), Interpreted(task)))
     blocks = [learner.advance(steps, closely=True) for learner in (compiled, plain)]
     assert same_learner(compiled, plain)
     assert np.array_equal(blocks[0].world, blocks[1].world, equal_nan=True)
