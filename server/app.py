@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
-from hebbviz.server.cli.training import announced_compiling, warm_up
 from hebbviz.server.live.commands import SetSpeed
 from hebbviz.server.live.pacing import REALTIME, check_speed
 from hebbviz.server.live.session import Session
@@ -20,6 +19,7 @@ from hebbviz.server.run.run import Run
 from hebbviz.server.web import guard
 from hebbviz.server.web.access import EVERYWHERE, Access, Role
 from hebbviz.server.web.browser_window import open_window
+from hebbviz.sims.program.compiling import announced_compiling, warm_up
 from hebbviz.sims.program.interrupts import Interrupts
 from hebbviz.sims.program.learner_from_arguments import maker
 from hebbviz.sims.program.output import Stream

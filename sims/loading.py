@@ -7,7 +7,7 @@ import importlib.util
 import inspect
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, TypeVar
@@ -21,6 +21,9 @@ from hebbviz.task.base import Input, Output, Preset, Task
 from hebbviz.task.switches import UnknownPreset
 
 T = TypeVar("T")
+
+MakeTask = Callable[[str, str | None], Task]
+"""`make_task`, or a function that does the same for tasks of its own."""
 
 _NEEDED = ("restart", "transition", "observation", "reward")
 """Methods that a task has to have."""

@@ -39,7 +39,7 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measure speeds."""
     from hebbviz.server.cli.speeds import contestants, figures, race, table
-    from hebbviz.server.cli.training import announced_compiling
+    from hebbviz.sims.program.compiling import announced_compiling
     from hebbviz.sims.program.interrupts import Interrupts
 
     def work() -> dict[str, Speed]:

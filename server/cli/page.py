@@ -20,7 +20,7 @@ def show_page(args: argparse.Namespace, prepare: Callable[[], Site]) -> int:
 
     def prepare_aloud() -> Site:
         from hebbviz.server.app import COMPILING
-        from hebbviz.server.cli.training import announced_compiling
+        from hebbviz.sims.program.compiling import announced_compiling
 
         with announced_compiling(lambda: say(COMPILING)):
             return prepare()

@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     is_watched = sys.stderr.isatty()
 
     def prepare() -> tuple[Learner, Steps]:
-        from hebbviz.server.cli.training import announced_on_terminal, warm_up
+        from hebbviz.sims.program.compiling import announced_on_terminal, warm_up
 
         with announced_on_terminal():
             learner = make_learner(args)

@@ -10,7 +10,6 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from numba.core import event
 from tqdm import tqdm  # type: ignore[import-untyped]
 
 import hebbviz
@@ -24,7 +23,7 @@ from hebbviz.server.run.keyframes import Pace
 from hebbviz.server.run.run import Run
 from hebbviz.sims.experiments.chunks import stretches
 from hebbviz.sims.program.learner_from_arguments import maker
-from hebbviz.sims.program.terminal import finite, tell
+from hebbviz.sims.program.terminal import finite
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -53,46 +52,6 @@ class Training:
     seconds: float
     late: Tally
     finished: bool
-
-
-class _Announcement(event.Listener):
-    def __init__(self, say: Callable[[], None]) -> None:
-        self._say: Callable[[], None] | None = say
-
-    def on_start(self, _: Any) -> None:
-        if self._say is not None:
-            self._say()
-            self._say = None
-
-    def on_end(self, _: Any) -> None:
-        pass
-
-
-@contextlib.contextmanager
-def announced_compiling(say: Callable[[], None]) -> Iterator[None]:
-    """Call `say` once if numba compiles something in here: what it has on disk is only loaded."""
-    with event.install_listener("numba:compile", _Announcement(say)):
-        yield
-
-
-@contextlib.contextmanager
-def announced_on_terminal() -> Iterator[None]:
-    """`announced_compiling` on stderr, if that is a terminal."""
-
-    def say() -> None:
-        if sys.stderr.isatty():
-            tell("compiling for this machine, only this first time")
-
-    with announced_compiling(say):
-        yield
-
-
-def warm_up(learner: Learner) -> None:
-    """Have everything compiled that a run of `learner` needs, without moving it on."""
-    twin = learner.twin()
-    twin.skip(2)
-    twin.advance(2)
-    twin.frame()
 
 
 class Unrecorded:

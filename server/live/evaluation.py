@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hebbviz.learner.learner import Learner
 from hebbviz.learner.pieces import Stopped, between_pieces
-from hebbviz.server.run.run import MakeTask
+from hebbviz.sims.loading import MakeTask
 from hebbviz.task.base import CompiledTask
 
 PAUSE_SECONDS = 2.0

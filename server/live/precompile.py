@@ -7,10 +7,10 @@ import threading
 import time
 
 from hebbviz.learner.learner import Learner
-from hebbviz.server.cli.training import announced_compiling, warm_up
 from hebbviz.server.live.commands import Choose, Command, Reset
 from hebbviz.server.run.changes import SetRule
 from hebbviz.server.run.run import Run
+from hebbviz.sims.program.compiling import announced_compiling, warm_up
 
 SHORT_SECONDS = 0.25
 """What is compiled already is ready before this; it is waited for."""

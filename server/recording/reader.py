@@ -22,8 +22,8 @@ from hebbviz.server.recording.tables import Table, read, readable
 from hebbviz.server.run.changes import Logged
 from hebbviz.server.run.history import History, Totals
 from hebbviz.server.run.keyframes import MOST_BYTES, Moment, Tape
-from hebbviz.server.run.run import MakeTask, Run
-from hebbviz.sims.loading import make_task
+from hebbviz.server.run.run import Run
+from hebbviz.sims.loading import MakeTask, make_task
 from hebbviz.task.base import Tally, Task
 
 Array = NDArray[np.float64]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from hebbviz.server.run.event_windows import pooled, pools
 from hebbviz.server.run.history import Curves, Totals
+from hebbviz.sims.experiments.statistics import deviation_of, median, quantiles
 from hebbviz.task.base import Measure, Tally, Task
 
 Array = NDArray[np.float64]
@@ -48,33 +48,6 @@ def middle_of(values: Array, measure: Measure) -> float:
 def goes_by_rank(measure: Measure) -> bool:
     """Whether lanes are told by their median: their mean says little, or is infinite."""
     return measure.logarithmic or bool(measure.event)
-
-
-def deviation_of(values: Array, axis: int = -1) -> Array:
-    """The standard deviation of a sample, with n − 1; NaN for one value, which has none."""
-    if values.shape[axis] > 1:
-        spread: Array = np.std(values, axis=axis, ddof=1)
-        return spread
-    return np.full_like(values.mean(axis=axis), np.nan)
-
-
-def quantiles(values: Array, shares: Sequence[float]) -> Array:
-    """Quantiles along the last axis, (..., lanes) in and (shares, ...) out: NumPy's usual ones, but
-    that values may be infinite.
-    """
-    ranked = np.sort(values, axis=-1)
-    place = np.asarray(shares) * (values.shape[-1] - 1)
-    below, above = np.floor(place).astype(int), np.ceil(place).astype(int)
-    low, high = np.moveaxis(ranked[..., below], -1, 0), np.moveaxis(ranked[..., above], -1, 0)
-    with np.errstate(invalid="ignore"):
-        steps = (high - low) * (place - below).reshape(-1, *[1] * (low.ndim - 1))
-    return np.where(low == high, low, low + steps)
-
-
-def median(values: Array) -> Array:
-    """Over the last axis; values may be infinite."""
-    middle: Array = quantiles(values, (0.5,))[0]
-    return middle
 
 
 def names(measure: Measure) -> tuple[str, str]:

@@ -6,7 +6,6 @@ be made again. Followers are told everything, and may have the run's stretches c
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -18,6 +17,7 @@ from hebbviz.server.run.changes import Change, Logged
 from hebbviz.server.run.history import Curves, History, Totals, usual_window
 from hebbviz.server.run.keyframes import MOST_BYTES, Moment, Tape
 from hebbviz.server.run.thinning import MOST_APART, Plan
+from hebbviz.sims.loading import MakeTask
 from hebbviz.task.base import Tally, Task
 
 MOST_UNDOS = 100
@@ -26,7 +26,6 @@ MOST_UNDO_BYTES = 256_000_000
 are fewer.
 """
 
-MakeTask = Callable[[str, str | None], Task]
 Switch = tuple[str, bool]
 
 

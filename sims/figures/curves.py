@@ -10,8 +10,8 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from hebbviz.rules.paper import PAPER
-from hebbviz.server.run.lane_spread import median
 from hebbviz.sims.experiments import Plan, figures_of
+from hebbviz.sims.experiments.statistics import median
 from hebbviz.sims.program.terminal import finite
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.learner.learner import Learner
-from hebbviz.server.run.lane_spread import deviation_of
 from hebbviz.sims.experiments import Curves, Plan
+from hebbviz.sims.experiments.statistics import deviation_of
 from hebbviz.sims.figures import palette
 from hebbviz.sims.figures.log_time import scales, spaced
 from hebbviz.sims.figures.sheet import (

@@ -13,8 +13,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.server.run.lane_spread import median
 from hebbviz.sims.experiments import Curves, Plan, figures_of
+from hebbviz.sims.experiments.statistics import median
 from hebbviz.task.base import Measure, Tally, Task
 
 Array = NDArray[np.float64]

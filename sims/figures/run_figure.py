@@ -17,12 +17,12 @@ from typing import Any
 from tqdm import tqdm  # type: ignore[import-untyped]
 
 from hebbviz import __version__
-from hebbviz.server.cli.training import announced_on_terminal
 from hebbviz.sims.experiments import Curves, Interrupted, Plan, open_workers, run_all
 from hebbviz.sims.figures.request import KINDS, Order
 from hebbviz.sims.figures.run_length import steps_of
 from hebbviz.sims.figures.sheet import Origin, Sheet, check_replaces, save
 from hebbviz.sims.loading import make_task
+from hebbviz.sims.program.compiling import announced_on_terminal
 from hebbviz.sims.program.terminal import InputError, check_writable, reason
 
 _BEGUN = "{desc} has begun"

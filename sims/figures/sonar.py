@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.server.run.lane_spread import deviation_of
 from hebbviz.sims.experiments import Curves, Plan
+from hebbviz.sims.experiments.statistics import deviation_of
 from hebbviz.sims.figures import palette
 from hebbviz.sims.figures.curves import (
     beside,

@@ -13,7 +13,7 @@ from hebbviz.sims.program.terminal import InputError
 if TYPE_CHECKING:
     from hebbviz.learner.learner import Learner
     from hebbviz.rules.base import Rule
-    from hebbviz.server.run.run import MakeTask
+    from hebbviz.sims.loading import MakeTask
     from hebbviz.task.base import Task
 
 DEFAULT_TASK = "pendulum"

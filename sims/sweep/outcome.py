@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.server.run.lane_spread import median, quantiles
 from hebbviz.sims.experiments import Curves, Done, Plan
+from hebbviz.sims.experiments.statistics import median, quantiles
 from hebbviz.task.base import Measure, Task
 
 Array = NDArray[np.float64]

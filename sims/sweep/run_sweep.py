@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import hebbviz
 from hebbviz.learner import saves
-from hebbviz.server.cli.training import announced_on_terminal
 from hebbviz.sims import TASKS
 from hebbviz.sims.experiments import Interrupted, finish, open_workers
 from hebbviz.sims.figures.curves import setting
 from hebbviz.sims.figures.run_figure import progress_bar, results_in
 from hebbviz.sims.figures.sheet import Origin, own_name, save
+from hebbviz.sims.program.compiling import announced_on_terminal
 from hebbviz.sims.program.terminal import tell, writing
 from hebbviz.sims.program.whole_folder import whole_folder
 from hebbviz.sims.sweep.grid import Sweep

@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT)]
 
 from hebbviz.learner.learner import Learner  # noqa: E402
-from hebbviz.server.cli.training import Recorded, train, warm_up  # noqa: E402
+from hebbviz.server.cli.training import Recorded, train  # noqa: E402
 from hebbviz.server.live.commands import SetSpeed, SetWatch  # noqa: E402
 from hebbviz.server.live.pacing import MAX  # noqa: E402
 from hebbviz.server.live.playback import Check, Player  # noqa: E402
@@ -33,6 +33,7 @@ from hebbviz.server.recording.reader import open_recording  # noqa: E402
 from hebbviz.server.recording.recordings import Options, Recordings  # noqa: E402
 from hebbviz.server.run.run import Run  # noqa: E402
 from hebbviz.sims.loading import make_task  # noqa: E402
+from hebbviz.sims.program.compiling import warm_up  # noqa: E402
 
 SECONDS, SETTLE, ROUNDS = 10.0, 8.0, 2
 

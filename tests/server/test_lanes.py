@@ -36,8 +36,9 @@ from hebbviz.server.recording.targets import FileTarget
 from hebbviz.server.run.changes import Change, Freeze, GiveReward, SetBeta, SetGamma
 from hebbviz.server.run.event_windows import ENOUGH, latest, pooled, pooled_curve, pools
 from hebbviz.server.run.history import Curve, Curves, Totals
-from hebbviz.server.run.lane_spread import Scores, Spread, quantiles
+from hebbviz.server.run.lane_spread import Scores, Spread
 from hebbviz.server.run.run import Run
+from hebbviz.sims.experiments.statistics import quantiles
 from hebbviz.sims.loading import make_task
 from hebbviz.sims.program.learner_from_arguments import MOST_SHOWN_LANES
 from tests.server.test_worker import bench

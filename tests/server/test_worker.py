@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from hebbviz.learner.frames import Block
-    from hebbviz.server.run.run import MakeTask
+    from hebbviz.sims.loading import MakeTask
 
 
 class Breaks(Task):
