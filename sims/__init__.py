@@ -1,28 +1,20 @@
-"""The worlds a network learns in, by name."""
+"""The paper's simulations: worlds, experiments, figures and maps."""
 
 from __future__ import annotations
 
-from importlib import import_module
-
+from hebbviz.registry import Registry
 from hebbviz.task.base import Task
 
-TASKS = {
-    "pendulum": "Pendulum",
-    "sonar": "Sonar",
-    "synapse": "Synapse",
-    "gradient": "Gradient",
-    "prediction": "Prediction",
-    "filtering": "Filtering",
-}
-"""Built-in tasks: module of this package, and the class in it."""
+TASKS = Registry("hebbviz.sims.worlds", first="pendulum", besides=("lamps", "strip_chart"))
+"""The built-in tasks."""
 
 
 def task_class(name: str) -> type[Task]:
     """The class of a built-in task; raises ValueError for an unknown name."""
-    if name not in TASKS:
+    if name not in TASKS.names:
         raise ValueError(
-            f"there is no task {name!r}; choose from {', '.join(TASKS)}, "
+            f"there is no task {name!r}; choose from {', '.join(TASKS.names)}, "
             "or give your own as path.py:Name"
         )
-    found: type[Task] = getattr(import_module(f"hebbviz.sims.{name}"), TASKS[name])
+    found: type[Task] = TASKS.find(name)
     return found

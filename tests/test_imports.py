@@ -52,8 +52,8 @@ def test_hebbviz_alone_brings_in_no_world_and_no_page():
 
 
 def test_the_tasks_bring_in_no_page():
-    worlds = "loading", "pendulum", "sonar", "synapse", "prediction", "filtering", "gradient"
-    names = [f"hebbviz.sims.{world}" for world in worlds]
+    worlds = "pendulum", "sonar", "synapse", "prediction", "filtering", "gradient"
+    names = ["hebbviz.sims.loading", *(f"hebbviz.sims.worlds.{world}" for world in worlds)]
     loaded = _loaded(names)
     assert loaded & FORBIDDEN["sims"] == set()
     assert {"hebbviz", "pymunk"} <= loaded

@@ -14,7 +14,6 @@ import dataclasses
 import math
 from dataclasses import dataclass, field
 from functools import cache
-from importlib import import_module
 from typing import Any, ClassVar
 
 import numpy as np
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from hebbviz.engine.layout import WIDTHS
 from hebbviz.limits import MOST_LANES
 from hebbviz.numerics.compile import called
+from hebbviz.registry import Registry
 from hebbviz.rules.trial import try_out
 from hebbviz.task.base import Reading
 
@@ -152,20 +152,20 @@ def _shortest(value: float) -> str:
 
 # By name
 
-RULES = {"paper": "Paper", "baseline": "Baseline", "yoked": "Yoked"}
-"""Built-in rules: module of this package, and the class in it."""
+RULES = Registry("hebbviz.rules", first="paper", besides=("base", "trial"))
+"""The built-in rules."""
 
 _own: dict[str, type[Rule]] = {}
 
 
 def rule_names() -> tuple[str, ...]:
     """Of all rules that can be made, those of the user's own files last."""
-    return (*RULES, *_own)
+    return (*RULES.names, *_own)
 
 
 def register(rule: type[Rule]) -> None:
     """Let `make_rule` know a rule of the user's own. Raises ValueError for a name that is taken."""
-    if rule.name in RULES:
+    if rule.name in RULES.names:
         raise ValueError(f"rule {rule.name!r} comes with hebbviz: give yours another name")
     _own[rule.name] = rule
 
@@ -174,12 +174,12 @@ def rule_class(name: str) -> type[Rule]:
     """The class of a rule; raises ValueError for an unknown name."""
     if name in _own:
         return _own[name]
-    if name not in RULES:
+    if name not in RULES.names:
         raise ValueError(
             f"there is no rule {name!r}; choose from {', '.join(rule_names())}, "
             "or name the file of your own with --rule path.py:Name"
         )
-    found: type[Rule] = getattr(import_module(f"hebbviz.rules.{name}"), RULES[name])
+    found: type[Rule] = RULES.find(name)
     return found
 
 

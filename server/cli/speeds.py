@@ -21,8 +21,8 @@ from hebbviz.learner.learner import Learner
 from hebbviz.numerics.counter_rng import FIRST_EPISODE, Draws
 from hebbviz.reference import Reference
 from hebbviz.sims.experiments.workers import core_count
-from hebbviz.sims.pendulum.task import Pendulum
-from hebbviz.sims.sonar import Sonar
+from hebbviz.sims.worlds.pendulum.task import Pendulum
+from hebbviz.sims.worlds.sonar import Sonar
 from hebbviz.task.base import Task
 
 LANES = 64

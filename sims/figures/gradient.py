@@ -34,7 +34,7 @@ from hebbviz.sims.figures.sheet import (
     look,
     mark_end,
 )
-from hebbviz.sims.lamps import Lamps, small_example
+from hebbviz.sims.worlds.lamps import Lamps, small_example
 from hebbviz.task.base import Task
 from hebbviz.theory.exact_gradient import GradientTruth, angle_between, degrees_of
 

@@ -45,8 +45,8 @@ from hebbviz.sims.figures.sheet import (
     look,
     title,
 )
-from hebbviz.sims.pendulum.physics import PLANT
-from hebbviz.sims.pendulum.task import Pendulum
+from hebbviz.sims.worlds.pendulum.physics import PLANT
+from hebbviz.sims.worlds.pendulum.task import Pendulum
 from hebbviz.task.base import FROZEN_STEPS
 
 if TYPE_CHECKING:

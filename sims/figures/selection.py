@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from hebbviz.sims.experiments import Curves, Plan
 from hebbviz.sims.experiments.plan import joined
-from hebbviz.sims.sonar import GRID, Setting, Sonar
-from hebbviz.sims.sonar_splits import Inner, Outer
+from hebbviz.sims.figures.sonar_splits import Inner, Outer
+from hebbviz.sims.worlds.sonar import GRID, Setting, Sonar
 
 if TYPE_CHECKING:
     from hebbviz.sims.figures.run_figure import Work

@@ -31,9 +31,9 @@ from hebbviz.sims.figures.curves import (
 from hebbviz.sims.figures.run_length import cut, steps_of
 from hebbviz.sims.figures.selection import Selection, inner_plan, select
 from hebbviz.sims.figures.sheet import Sheet, Table, blank, color, dark, head, look, mark_end
+from hebbviz.sims.figures.sonar_splits import Inner
 from hebbviz.sims.program.terminal import finite
-from hebbviz.sims.sonar import BEST, GRID, HOLD, PATTERNS, Sonar
-from hebbviz.sims.sonar_splits import Inner
+from hebbviz.sims.worlds.sonar import BEST, GRID, HOLD, PATTERNS, Sonar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,6 +1,6 @@
 """The paper's figure of synaptic updates: sequences (a) to (l), as the rule really made them.
 
-A learner plays the script of `hebbviz.sims.synapse`; what is drawn of each step is what it did.
+A learner plays the script of the task `synapse`; each step is drawn as the learner made it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from hebbviz.sims.figures.sheet import (
     dark,
     look,
 )
-from hebbviz.sims.synapse import REWARD, SCRIPT, Synapse
+from hebbviz.sims.worlds.synapse import REWARD, SCRIPT, Synapse
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

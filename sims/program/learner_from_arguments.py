@@ -89,7 +89,7 @@ def saved_task(args: argparse.Namespace, file: str | Path, name: str, preset: st
     from hebbviz.sims.loading import make_task
     from hebbviz.sims.user_file import own_file
 
-    if name in TASKS:
+    if name in TASKS.names:
         if args.task not in (None, name):
             raise _contradiction(file, "--task", args.task, name)
         return _at_preset(args, file, make_task(name, preset))
@@ -98,7 +98,7 @@ def saved_task(args: argparse.Namespace, file: str | Path, name: str, preset: st
             f"{file} holds a task of yours, {name!r}: name its file again, with --task path.py:Name"
         )
     is_own = own_file(name)[0] is not None
-    if args.task in TASKS or (is_own and _class_of(name) != _class_of(args.task)):
+    if args.task in TASKS.names or (is_own and _class_of(name) != _class_of(args.task)):
         raise _contradiction(file, "--task", args.task, name)
     return _at_preset(args, file, make_task(args.task, preset))
 
@@ -143,7 +143,7 @@ def maker(task: Task, task_name: str | None) -> MakeTask:
     own, kind = task_name or task.name, type(task)
 
     def make(name: str, preset: str | None) -> Task:
-        if name != own or name in TASKS:
+        if name != own or name in TASKS.names:
             return make_task(name, preset)
         try:
             return kind(preset)

@@ -108,7 +108,7 @@ def _openings(sweep: Sweep, point: Outcome, folder: Path) -> dict[str, Any]:
 
 
 def _opening(sweep: Sweep, path: Path) -> str:
-    own = [] if sweep.task in TASKS else ["--task", sweep.task]
+    own = [] if sweep.task in TASKS.names else ["--task", sweep.task]
     if sweep.rule is not None and own_file(sweep.rule)[0] is not None:
         own += ["--rule", sweep.rule]
     return shlex.join(["hebbviz", "--load", str(path), *own])

@@ -33,7 +33,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from hebbviz.learner.learner import Learner
 from hebbviz.numerics.counter_rng import SPIKES, uniforms
 from hebbviz.reference import Reference
-from hebbviz.sims.sonar import ENERGIES, HOLD, PATTERNS, TRAINING, Sonar, load
+from hebbviz.sims.worlds.sonar import ENERGIES, HOLD, PATTERNS, TRAINING, Sonar, load
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from hebbviz.learner.learner import Learner
-from hebbviz.sims.sonar import HOLD, PATTERNS, TRAINING, Sonar, load
+from hebbviz.sims.worlds.sonar import HOLD, PATTERNS, TRAINING, Sonar, load
 
 SOURCE = Path(__file__).with_name("limit.c")
 FLAGS = (

@@ -60,7 +60,7 @@ def measured(rounds: int) -> list[float]:
     import numpy as np
 
     from hebbviz.learner.learner import Learner
-    from hebbviz.sims.sonar import Sonar
+    from hebbviz.sims.worlds.sonar import Sonar
 
     return [
         _least(Learner(Sonar("paper"), lanes=LANES, dtype=dtype, written_out=True))

@@ -41,8 +41,8 @@ said |= {"answer": answer.ctypes(5), "kept": answer.cache_hits == 1}
 WORLDS = """
 from hebbviz.task import finite as finite_world
 from hebbviz.rules.baseline import Baseline
-from hebbviz.sims.pendulum import compiled as pendulum_lanes
-from hebbviz.sims import sonar
+from hebbviz.sims.worlds.pendulum import compiled as pendulum_lanes
+from hebbviz.sims.worlds import sonar
 made = (finite_world.answer, sonar.answer, pendulum_lanes.answer, Baseline().compiled()[0])
 said = {"kept": [one.cache_hits == 1 for one in made]}
 """
@@ -95,5 +95,10 @@ def test_worlds_and_rules_are_bound_to_the_kernels(copy):
     assert run(copy, WORLDS) == {"kept": [True] * 4}
     change(copy, "hebbviz/numerics/counter_rng.py", "_ROUNDS = 7", "_ROUNDS = 6")
     assert run(copy, WORLDS) == {"kept": [False] * 4}
-    change(copy, "hebbviz/sims/pendulum/physics.py", "gravity: float = 9.8", "gravity: float = 1.6")
+    change(
+        copy,
+        "hebbviz/sims/worlds/pendulum/physics.py",
+        "gravity: float = 9.8",
+        "gravity: float = 1.6",
+    )
     assert run(copy, WORLDS) == {"kept": [True, True, False, True]}

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hebbviz.conformance import check_task
 from hebbviz.learner.learner import Learner
-from hebbviz.sims.lamps import Lamps, small_example
+from hebbviz.sims.worlds.lamps import Lamps, small_example
 from hebbviz.task.base import Output, Preset
 from hebbviz.task.finite import FiniteWorld, finite_world
 from hebbviz.theory.network_chain import ExactNetwork, NetworkPolicy

@@ -31,8 +31,8 @@ from hebbviz.server.run.changes import SetBeta, SetFall, SetRule
 from hebbviz.server.run.run import Run
 from hebbviz.sims.experiments import Plan
 from hebbviz.sims.experiments.run import _completed
-from hebbviz.sims.lamps import Lamps, small_example
 from hebbviz.sims.loading import load_rule, make_task
+from hebbviz.sims.worlds.lamps import Lamps, small_example
 from hebbviz.task.base import Reading
 
 LEVER = f"{Path(__file__).parents[1] / 'examples' / 'lever.py'}:Lever"
@@ -47,7 +47,7 @@ def has_lanes(make):
     return task.in_lanes() is not task
 
 
-TASKS = {name: partial(make_task, name) for name in sims.TASKS}
+TASKS = {name: partial(make_task, name) for name in sims.TASKS.names}
 TASKS |= {"lamps": Lamps, "lever": partial(make_task, LEVER)}
 TASKS |= {f"{name} in lanes": partial(in_lanes, m) for name, m in TASKS.items() if has_lanes(m)}
 OWN = """

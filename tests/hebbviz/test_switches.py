@@ -15,7 +15,7 @@ from hebbviz.server.recording.reader import open_recording
 from hebbviz.server.run.changes import Freeze, SetBeta, SetRule
 from hebbviz.server.run.run import Run
 from hebbviz.sims.loading import make_task
-from hebbviz.sims.sonar import ENERGIES, Sonar
+from hebbviz.sims.worlds.sonar import ENERGIES, Sonar
 from hebbviz.task.switches import UnknownPreset
 
 BASELINE = "baseline:time=50"

@@ -11,9 +11,9 @@ from hebbviz.numerics.compile import compiled
 from hebbviz.numerics.counter_rng import unit
 from hebbviz.numerics.logistic import sigmoid
 from hebbviz.sims.loading import make_task
-from hebbviz.sims.pendulum.compiled import PendulumLanes
-from hebbviz.sims.pendulum.physics import FARTHEST, FARTHEST_TURN, PLANT
-from hebbviz.sims.pendulum.task import Pendulum
+from hebbviz.sims.worlds.pendulum.compiled import PendulumLanes
+from hebbviz.sims.worlds.pendulum.physics import FARTHEST, FARTHEST_TURN, PLANT
+from hebbviz.sims.worlds.pendulum.task import Pendulum
 from hebbviz.topology import SYMMETRIC
 from tests.hebbviz.test_kernel import STEPS, Chatter, everything, flat, follow
 

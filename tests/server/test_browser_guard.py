@@ -132,7 +132,7 @@ def test_no_task_s_page_wants_more_than_the_policy_gives(browser: Browser) -> No
         page.on("request", lambda request: asked.add(request.url))
 
     with shown() as (site, worker):
-        for task in TASKS:
+        for task in TASKS.names:
             worker.send(Choose(task))
             worker.send(SetSpeed(50.0))
             wait_until(lambda task=task: worker.latest.run.task_name == task, 60.0)

@@ -24,7 +24,7 @@ from hebbviz.server.scene.appearance import (
     place,
 )
 from hebbviz.sims.loading import make_task
-from hebbviz.sims.synapse import Synapse
+from hebbviz.sims.worlds.synapse import Synapse
 from hebbviz.task.base import Pose, Prop, Task
 from hebbviz.topology import Topology
 

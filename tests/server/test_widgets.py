@@ -122,7 +122,7 @@ def test_what_is_refused_is_said_and_leaves_its_field(
     assert panel.sent == []
 
 
-@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize("name", TASKS.names)
 def test_the_hidden_layers_shown_are_those_that_typed_would_make_the_network(name: str) -> None:
     task = make_task(name)
     live = Learner(task).frame()

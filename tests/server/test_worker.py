@@ -59,7 +59,7 @@ from hebbviz.server.run.history import CAPACITY, History, Totals
 from hebbviz.server.run.keyframes import Moment
 from hebbviz.server.run.run import Follower, Run
 from hebbviz.sims.loading import make_task
-from hebbviz.sims.pendulum.task import Pendulum
+from hebbviz.sims.worlds.pendulum.task import Pendulum
 from hebbviz.task.base import Input, Output, Preset, Tally, Task
 
 if TYPE_CHECKING:

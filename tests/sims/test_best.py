@@ -9,7 +9,7 @@ from hebbviz.learner.learner import Learner
 from hebbviz.numerics.counter_rng import FIRST_EPISODE, Draws
 from hebbviz.rules.baseline import Baseline
 from hebbviz.sims.loading import make_task
-from hebbviz.sims.sonar import ENERGIES, HOLD, PATTERNS, SCALE, TRAINING, Sonar, load
+from hebbviz.sims.worlds.sonar import ENERGIES, HOLD, PATTERNS, SCALE, TRAINING, Sonar, load
 
 PATTERN, ORDER = 3, 9
 MEAN = ORDER + PATTERNS

@@ -16,6 +16,6 @@ def test_every_task_preset_and_rule_has_a_case() -> None:
     words = [sys.executable, SCRIPT, "--list"]
     names = subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()
     tasks = {tuple(name.split("/")[1:3]) for name in names if name.startswith("run/")}
-    assert tasks == {(task, p) for task in TASKS for p in task_class(task).presets}
+    assert tasks == {(task, p) for task in TASKS.names for p in task_class(task).presets}
     rules = {tuple(name.split("/")[1:3]) for name in names if name.startswith("rule/")}
-    assert rules == {(rule, task) for rule in RULES for task in TASKS}
+    assert rules == {(rule, task) for rule in RULES.names for task in TASKS.names}

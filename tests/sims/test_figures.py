@@ -40,12 +40,12 @@ from hebbviz.sims.figures.request import KINDS, Order
 from hebbviz.sims.figures.run_figure import progress_bar
 from hebbviz.sims.figures.run_length import Time
 from hebbviz.sims.figures.sheet import Origin, Sheet, apart, blank, look, save
-from hebbviz.sims.lamps import small_example
 from hebbviz.sims.loading import make_task
-from hebbviz.sims.pendulum.physics import PLANT
-from hebbviz.sims.pendulum.task import Pendulum
-from hebbviz.sims.sonar import Sonar
-from hebbviz.sims.synapse import SCRIPT
+from hebbviz.sims.worlds.lamps import small_example
+from hebbviz.sims.worlds.pendulum.physics import PLANT
+from hebbviz.sims.worlds.pendulum.task import Pendulum
+from hebbviz.sims.worlds.sonar import Sonar
+from hebbviz.sims.worlds.synapse import SCRIPT
 from hebbviz.task.base import Measure
 from hebbviz.theory.exact_gradient import angle_between
 
@@ -614,7 +614,7 @@ def test_rounding_is_not_drawn_as_a_curve(value):
     assert top - bottom > 0.1 * abs(value)
 
 
-@pytest.mark.parametrize("name", [*TASKS, LEVER, "a long summary"])
+@pytest.mark.parametrize("name", [*TASKS.names, LEVER, "a long summary"])
 def test_the_title_of_a_learning_curve_is_legible(name):
     """It stays within the figure, and nothing is printed over it."""
     plan = Plan(task=LEVER if name == "a long summary" else name, segments=2, segment_steps=10)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hebbviz.learner.learner import Learner
-from hebbviz.sims.filtering import BASELINE, COLUMNS, NOISE, SWITCH, Filtering, bayes_filter
 from hebbviz.sims.loading import make_task
+from hebbviz.sims.worlds.filtering import BASELINE, COLUMNS, NOISE, SWITCH, Filtering, bayes_filter
 from hebbviz.task.finite import NOTHING
 
 LANES = 8

@@ -19,9 +19,9 @@ from hebbviz.server.live.gradient_estimate import (
 from hebbviz.server.run.changes import Freeze, GiveReward, SetBeta, SetFall, SetGamma, SetRule
 from hebbviz.server.run.run import Run
 from hebbviz.sims import TASKS
-from hebbviz.sims.gradient import Gradient
-from hebbviz.sims.lamps import Lamps, small_example
 from hebbviz.sims.loading import make_task
+from hebbviz.sims.worlds.gradient import Gradient
+from hebbviz.sims.worlds.lamps import Lamps, small_example
 from hebbviz.theory.exact_gradient import GradientTruth, angle_between
 
 
@@ -108,7 +108,7 @@ def test_where_there_is_no_truth_it_says_why():
 
 
 def test_tabs_are_for_tasks_whose_own_network_has_a_truth():
-    has = {name for name in TASKS if knows_its_truth(make_task(name))}
+    has = {name for name in TASKS.names if knows_its_truth(make_task(name))}
     assert has == {"gradient"}
     large = Learner(make_task("prediction"))
     assert "take fewer neurons" in truth_of(large.task, large.frame())

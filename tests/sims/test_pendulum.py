@@ -8,9 +8,9 @@ import pytest
 
 from hebbviz.learner.learner import Learner
 from hebbviz.numerics.counter_rng import Draws
-from hebbviz.sims.pendulum.compiled import PendulumLanes
-from hebbviz.sims.pendulum.physics import PLANT, fallen
-from hebbviz.sims.pendulum.task import Pendulum
+from hebbviz.sims.worlds.pendulum.compiled import PendulumLanes
+from hebbviz.sims.worlds.pendulum.physics import PLANT, fallen
+from hebbviz.sims.worlds.pendulum.task import Pendulum
 from hebbviz.task.base import Tally
 
 RANDOM = 0.61

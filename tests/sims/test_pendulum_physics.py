@@ -11,8 +11,8 @@ import pytest
 from numba import njit
 from numpy.typing import NDArray
 
-from hebbviz.sims.pendulum.arena import Arena
-from hebbviz.sims.pendulum.physics import (
+from hebbviz.sims.worlds.pendulum.arena import Arena
+from hebbviz.sims.worlds.pendulum.physics import (
     FARTHEST_TURN,
     PLANT,
     SLOWEST_BLOW,
@@ -507,7 +507,7 @@ def test_a_restart_is_upright_at_rest_near_the_centre() -> None:
 
 COLLECTED = """
 import gc, sys, threading, time
-from hebbviz.sims.pendulum.arena import Arena
+from hebbviz.sims.worlds.pendulum.arena import Arena
 
 end = time.monotonic() + 1.5
 sys.setswitchinterval(1e-5)

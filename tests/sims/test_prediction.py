@@ -7,7 +7,7 @@ import pytest
 
 from hebbviz.learner.learner import Learner
 from hebbviz.sims.loading import make_task
-from hebbviz.sims.prediction import (
+from hebbviz.sims.worlds.prediction import (
     AMBER,
     BASELINE,
     BEST,

@@ -12,8 +12,8 @@ from hebbviz.sims.experiments import Interrupted, Plan
 from hebbviz.sims.figures import selection, sonar
 from hebbviz.sims.figures.run_figure import Work
 from hebbviz.sims.figures.selection import outer_plans, select
-from hebbviz.sims.sonar import GRID, PATTERNS, TRAINING, Sonar, load
-from hebbviz.sims.sonar_splits import VALIDATION, Inner, Outer
+from hebbviz.sims.figures.sonar_splits import VALIDATION, Inner, Outer
+from hebbviz.sims.worlds.sonar import GRID, PATTERNS, TRAINING, Sonar, load
 
 ORDER, MEAN = 9, 9 + PATTERNS
 PLAN = Plan(
@@ -57,7 +57,7 @@ def test_nothing_that_chooses_depends_on_the_test_set(monkeypatch):
     weights, errors = validated()
     other = load().copy()
     other[order[TRAINING:]] = 1.0 - other[order[TRAINING:]]
-    monkeypatch.setattr("hebbviz.sims.sonar.load", lambda: other)
+    monkeypatch.setattr("hebbviz.sims.worlds.sonar.load", lambda: other)
     again, same = validated()
     np.testing.assert_array_equal(weights, again)
     assert same == errors
@@ -88,7 +88,7 @@ def test_each_split_is_run_once_with_what_was_chosen_and_numbers_of_its_own():
 
 def cheap(monkeypatch):
     """Runs of the same kinds, with few hidden units and short evaluations."""
-    monkeypatch.setattr("hebbviz.sims.sonar.HOLD", 100)
+    monkeypatch.setattr("hebbviz.sims.worlds.sonar.HOLD", 100)
     for kind in (Inner, Outer):
         monkeypatch.setattr(kind, "topology", lambda self, _=None: Sonar.topology(self, (2,)))
 

@@ -10,7 +10,7 @@ from hebbviz.conformance import same_learner
 from hebbviz.learner.learner import Learner
 from hebbviz.numerics.counter_rng import FIRST_EPISODE, Draws
 from hebbviz.reference import Reference
-from hebbviz.sims.sonar import ENERGIES, HOLD, PATTERNS, TRAINING, Sonar, load
+from hebbviz.sims.worlds.sonar import ENERGIES, HOLD, PATTERNS, TRAINING, Sonar, load
 from hebbviz.task.base import Tally
 
 TICK, INDEX, EPOCH, PATTERN, LABEL, ORDER = 0, 1, 2, 3, 4, 9

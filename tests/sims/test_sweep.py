@@ -22,12 +22,12 @@ from hebbviz.server.cli.main import main, parse
 from hebbviz.sims.experiments import workers
 from hebbviz.sims.figures.sheet import Origin, _made_by
 from hebbviz.sims.loading import make_task
-from hebbviz.sims.pendulum.task import Pendulum
 from hebbviz.sims.program.learner_from_arguments import make_learner
 from hebbviz.sims.sweep import heat_map
 from hebbviz.sims.sweep.grid import Sweep, parse_betas, parse_gammas
 from hebbviz.sims.sweep.outcome import Outcome
 from hebbviz.sims.sweep.run_sweep import make
+from hebbviz.sims.worlds.pendulum.task import Pendulum
 from hebbviz.task.base import Measure, Tally
 
 ROOT = Path(__file__).parents[2]
@@ -294,7 +294,7 @@ def test_ctrl_c_and_the_same_command_again(tmp_path):
     """Stopped in its midst it says so; gone on with, it comes to what one go comes to."""
     own = tmp_path / "own.py"
     own.write_text(
-        "from hebbviz.sims.sonar import Sonar\n\n\nclass Own(Sonar):\n    name = 'own'\n"
+        "from hebbviz.sims.worlds.sonar import Sonar\n\n\nclass Own(Sonar):\n    name = 'own'\n"
     )
     out, task = tmp_path / "stopped", f"{own}:Own"
     words = ["sweep", "--task", task, "--gamma", "0.001,0.1", "--lanes", "2", "--steps", "6000"]

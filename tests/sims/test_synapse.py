@@ -5,7 +5,7 @@ import pytest
 
 from hebbviz.learner.learner import Learner
 from hebbviz.sims.loading import make_task
-from hebbviz.sims.synapse import BY_HAND, REWARD, SCRIPT
+from hebbviz.sims.worlds.synapse import BY_HAND, REWARD, SCRIPT
 
 PRE, POST, PLAY, STOP = (c.name for c in make_task("synapse").controls)
 

@@ -27,7 +27,7 @@ from hebbviz.task.base import CompiledTask, Control, Input, Output, Preset, Task
 LEVER = f"{Path(__file__).parents[1] / 'examples' / 'lever.py'}:Lever"
 
 
-TOLD = [("synapse", "script"), ("lever", None), *((name, None) for name in TASKS)]
+TOLD = [("synapse", "script"), ("lever", None), *((name, None) for name in TASKS.names)]
 SLOW = ("synapse", "lever")
 """In Python, where the 10⁵ steps of an evaluation take long."""
 

@@ -195,7 +195,7 @@ def make_all(folder: Path) -> None:
     with serving("pendulum") as (address, worker), open_browser() as browser:
         for size, (width, height) in (("wide", WIDE), ("narrow", NARROW)):
             with tab_at(browser, address, width=width, height=height, sharpness=1.0) as page:
-                for task in TASKS:
+                for task in TASKS.names:
                     for command in (Choose(task), *something_to_see(task), Pause(paused=False)):
                         worker.send(command)
                     wait_until(lambda task=task: snapshot(worker).task_name == task, 20.0)

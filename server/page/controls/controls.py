@@ -81,7 +81,7 @@ class Controls:
 
     def _build_run(self) -> None:
         gui = self._gui
-        self.task = gui.add_dropdown("task", tuple(TASKS), hint="the world to learn in")
+        self.task = gui.add_dropdown("task", tuple(TASKS.names), hint="the world to learn in")
         self.preset = gui.add_dropdown("preset", ("quick",), hint="a setting of the task")
         self.preset_note = gui.add_markdown("")
         self.pause = gui.add_button(
@@ -216,8 +216,8 @@ class Controls:
             return
         self._shown_task = key
         names = (
-            *TASKS,
-            *((snapshot.run.task_name,) if snapshot.run.task_name not in TASKS else ()),
+            *TASKS.names,
+            *((snapshot.run.task_name,) if snapshot.run.task_name not in TASKS.names else ()),
         )
         assign(self.task, "options", names)
         assign(self.task, "value", snapshot.run.task_name)

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.sims.pendulum.arena import Arena
-from hebbviz.sims.pendulum.physics import PLANT, fallen, restart
+from hebbviz.sims.worlds.pendulum.arena import Arena
+from hebbviz.sims.worlds.pendulum.physics import PLANT, fallen, restart
 from hebbviz.task.base import (
     Input,
     Measure,
@@ -154,7 +154,7 @@ class Pendulum(Task):
         return np.column_stack((_tilt(states[:, 6]), states[:, :2], states[:, 10:12]))
 
     def in_lanes(self) -> Task:
-        from hebbviz.sims.pendulum.compiled import PendulumLanes  # noqa: PLC0415  # it is made of this class
+        from hebbviz.sims.worlds.pendulum.compiled import PendulumLanes  # noqa: PLC0415  # it is made of this class
 
         return PendulumLanes(self.preset_name)
 

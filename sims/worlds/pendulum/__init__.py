@@ -1,5 +1,5 @@
 """The pendulum: the task in pymunk, and the same compiled for many lanes."""
 
-from hebbviz.sims.pendulum.task import Pendulum
+from hebbviz.sims.worlds.pendulum.task import Pendulum
 
 __all__ = ["Pendulum"]

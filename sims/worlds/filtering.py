@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.learner.learner import Learner
-from hebbviz.sims import strip_chart
-from hebbviz.sims.strip_chart import Row
+from hebbviz.sims.worlds import strip_chart
+from hebbviz.sims.worlds.strip_chart import Row
 from hebbviz.task.base import Input, Measure, Output, Pose, Preset, Prop, Reading, Tally
 from hebbviz.task.finite import NOTHING, FiniteWorld
 from hebbviz.theory.pomdp import POMDP

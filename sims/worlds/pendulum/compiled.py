@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from hebbviz.engine.loop import WORLD
 from hebbviz.numerics.compile import called, compiled, inlined, row
 from hebbviz.numerics.counter_rng import NEXT_EPISODE, four_uniforms
-from hebbviz.sims.pendulum.physics import PLANT, fallen, is_plain, restart, rk4, walled
-from hebbviz.sims.pendulum.task import SEEN, Pendulum
+from hebbviz.sims.worlds.pendulum.physics import PLANT, fallen, is_plain, restart, rk4, walled
+from hebbviz.sims.worlds.pendulum.task import SEEN, Pendulum
 from hebbviz.task.base import CompiledTask
 
 Array = NDArray[np.float64]

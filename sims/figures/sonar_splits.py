@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.numerics.counter_rng import Draws
-from hebbviz.sims.sonar import TRAINING, Sonar
+from hebbviz.sims.worlds.sonar import TRAINING, Sonar
 
 Array = NDArray[np.float64]
 

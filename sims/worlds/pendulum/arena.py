@@ -2,9 +2,8 @@
 
 pymunk moves a single rigid disc; it does not know the rod. So each time step goes in turns:
 
-1. The equations of motion (`hebbviz.sims.pendulum.physics`) take puck and rod through the step, in
-one
-   piece where the rod does not spin.
+1. The equations of motion (`physics.py`) take puck and rod through the step, in one piece where
+   the rod does not spin.
 2. The engine moves the disc along the straight line to the same end, and bounces it where that
    line meets a wall.
 3. Where the engine turned the disc's velocity round, there was a wall on that axis: the equations
@@ -25,7 +24,7 @@ import pymunk
 # doubles the cost of a time step (4 microseconds against 2).
 from pymunk._chipmunk_cffi import lib
 
-from hebbviz.sims.pendulum.physics import PLANT, Vector, advance, rebound
+from hebbviz.sims.worlds.pendulum.physics import PLANT, Vector, advance, rebound
 
 _WALL_RADIUS = 1.0  # m. A thin wall is jumped over; this one stops a puck of up to 50 m/s.
 _OFFSET = PLANT.side / 2 + _WALL_RADIUS  # of the walls' axes from the centre, m
@@ -75,7 +74,7 @@ class Arena:
     def step(self, state: Vector, thrust: tuple[float, float]) -> Vector:
         """Return the state one time step after `state` under `thrust`.
 
-        States are of shape (10,), as in `hebbviz.sims.pendulum.physics`; the one returned is a new
+        States are of shape (10,), as in `physics.py`; the one returned is a new
         array. `thrust` is the force on the puck along x and y, in N.
         """
         left = PLANT.time_step

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.sims.lamps import SMALL_EXAMPLE, Lamps
+from hebbviz.sims.worlds.lamps import SMALL_EXAMPLE, Lamps
 from hebbviz.task.base import Preset
 
 Array = NDArray[np.float64]
