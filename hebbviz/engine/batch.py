@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.engine.buffers import NOBODY
-from hebbviz.engine.layout import WIDTHS, Layout
+from hebbviz.engine.layout import Layout
 from hebbviz.engine.tile import Tile
+from hebbviz.numerics.compile import WIDTHS
 
 Array = NDArray[np.float64]
 

@@ -28,8 +28,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hebbviz.engine.layout import BLOCK, COLUMNS, HEADER, HELD, NEURON, PROJECTION, SYNAPSE, WIDTHS
-from hebbviz.numerics.compile import inlined, row
+from hebbviz.engine.layout import BLOCK, COLUMNS, HEADER, HELD, NEURON, PROJECTION, SYNAPSE
+from hebbviz.numerics.compile import WIDTHS, inlined, row
 from hebbviz.numerics.counter_rng import SPIKES, eight_words, four_words, unit
 from hebbviz.numerics.logistic import sigmoid
 

@@ -19,13 +19,11 @@ import numpy as np
 from llvmlite.binding import get_host_cpu_features
 from numpy.typing import NDArray
 
+from hebbviz.numerics.compile import WIDTHS
 from hebbviz.topology import Topology
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
-
-WIDTHS = (1, 16, 64)
-"""Lanes of a tile, for each of which the engine is compiled; lanes that nobody asked for idle."""
 
 VECTOR = 16 if get_host_cpu_features().get("avx512f") else 8
 """Lanes that the processor computes at once in float32."""

@@ -1,9 +1,10 @@
 """The closed loop, compiled once for every task and topology, for each width of a tile of lanes.
 
 A step is: the network responds, the world answers with a reward and the next input, the rule
-moves the weights, the input is set. A compiled world comes as a pointer to a function (`WORLD`),
-and so does a rule other than the paper's (`rules.MODULATE`). A world that is stepped by Python
-uses `respond` and then `settle`, which holds everything that follows the world's answer.
+moves the weights, the input is set. A compiled world comes as a pointer to a function
+(`task.signature.WORLD`), and so does a rule other than the paper's (`rules.MODULATE`). A world that
+is stepped by Python uses `respond` and then `settle`, which holds everything that follows the
+world's answer.
 
 The network may be of float32 or of float64; worlds, rewards and totals are float64 in both.
 """
@@ -14,27 +15,12 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
 
 from hebbviz.engine import kernel, unrolled
 from hebbviz.engine.kernel import A_NEURON, BY_HAND, FIRST_NEURON, FIRST_OUTPUT, REWARD, U, V, at
 from hebbviz.engine.layout import BLOCK
 from hebbviz.numerics.compile import compiled, inlined, row
 from hebbviz.numerics.logistic import sigmoid
-from hebbviz.rules.base import PER_LANE
-
-STATE = types.Array(types.float64, 2, "C")
-KEYS = types.Array(types.uint32, 2, "C")
-
-WORLD = types.int64(STATE, STATE, STATE, KEYS, types.int64, STATE, PER_LANE, PER_LANE)
-"""A compiled world's step: (world, action, data, keys, step, observation, reward, ended).
-
-`world` (rows, lanes) is its state and is changed in place; `action` (outputs, lanes) holds the
-outputs' activities; `data` the constants of the task. It writes `observation` (inputs, lanes),
-`reward` (lanes) and `ended` (lanes; 1 where an episode ended), zeros at first, where they differ
-from those of the step before, and returns 1 if any input changed, else 0.
-"""
-
 
 FALL_EVERY = 256
 """A γ that falls is set anew at the steps that are divisible by this."""

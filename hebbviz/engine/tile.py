@@ -1,6 +1,6 @@
 """A tile: up to 64 lanes of a network that are stepped together, the arrays the engine works on.
 
-A tile is as wide as one of `layout.WIDTHS`. Lanes that nobody asked for idle beside the others as
+A tile is as wide as one of `compile.WIDTHS`. Lanes that nobody asked for idle beside the others as
 copies of the last one with random numbers of their own; from outside they are not seen.
 """
 

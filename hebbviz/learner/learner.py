@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.engine.batch import Tiles
-from hebbviz.engine.buffers import NOBODY, Notes, Summing
+from hebbviz.engine.buffers import NOBODY, Notes
 from hebbviz.engine.layout import Layout
 from hebbviz.learner.frames import Block, Frame, Keyframe
+from hebbviz.learner.summing import Summing
 from hebbviz.learner.world import check_fit, world_of
 from hebbviz.limits import (
     MOST_LANES,

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.engine.batch import Tiles
-from hebbviz.engine.buffers import Notes, Summing
+from hebbviz.engine.buffers import Notes
 from hebbviz.engine.tile import Tile
 from hebbviz.learner.pieces import Pieces, tell
+from hebbviz.learner.summing import Summing
 from hebbviz.numerics.counter_rng import FIRST_EPISODE, NEXT_EPISODE, Draws
 from hebbviz.task.base import CompiledTask, Task
 from hebbviz.topology import Topology

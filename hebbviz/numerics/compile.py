@@ -22,6 +22,9 @@ if getattr(config, "DISABLE_JIT", 0):
         "NUMBA_DISABLE_JIT is set, and no network runs without the compiler: unset it"
     )
 
+WIDTHS = (1, 16, 64)
+"""Lanes of a tile, for each of which the engine is compiled; lanes that nobody asked for idle."""
+
 INLINED: Any = {
     "forceinline": True, "error_model": "numpy",
     "no_cpython_wrapper": True, "no_cfunc_wrapper": True,

@@ -21,17 +21,14 @@ from numba import njit, types
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
-from hebbviz.engine.layout import WIDTHS
 from hebbviz.limits import MOST_LANES
-from hebbviz.numerics.compile import called
+from hebbviz.numerics.compile import WIDTHS, called
 from hebbviz.registry import Registry
 from hebbviz.rules.trial import try_out
 from hebbviz.task.base import Reading
+from hebbviz.task.signature import PER_LANE
 
 Array = NDArray[np.float64]
-
-PER_LANE = types.Array(types.float64, 1, "C")
-
 
 MODULATE = types.void(types.Array(types.float64, 2, "C"), PER_LANE, PER_LANE, PER_LANE, PER_LANE)
 """The signature of a compiled `Rule.modulate`."""

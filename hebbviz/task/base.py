@@ -390,7 +390,7 @@ class Task:
 class CompiledTask(Task):
     """A task whose step is compiled too: the same functions, for all lanes at once.
 
-    `answer` is a function compiled with the signature `loop.WORLD`. It must do what the
+    `answer` is a function compiled with the signature `signature.WORLD`. It must do what the
     methods of the task do, to the bit; the conformance suite compares them.
 
     There are no `clamps`, which compiled code does not ask for; a `Learner` refuses a task that has

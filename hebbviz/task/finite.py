@@ -15,11 +15,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.engine.loop import WORLD as WORLD_SIGNATURE
 from hebbviz.limits import check_places
 from hebbviz.numerics.compile import called, compiled
 from hebbviz.numerics.counter_rng import WORLD, four_uniforms
 from hebbviz.task.base import CompiledTask, Input, Output, Preset
+from hebbviz.task.signature import WORLD as WORLD_SIGNATURE
 from hebbviz.theory.exact_gradient import GradientTruth
 from hebbviz.theory.network_chain import ExactNetwork
 from hebbviz.theory.pomdp import POMDP
@@ -49,7 +49,7 @@ def _drawn(data, row, count, draw):  # type: ignore[no-untyped-def]
 
 @called(WORLD_SIGNATURE)
 def answer(world, action, data, keys, step, observation, reward, ended):  # type: ignore[no-untyped-def]
-    """The world's step for all lanes, see `loop.WORLD`; `data` is the task's."""
+    """The world's step for all lanes, see `signature.WORLD`; `data` is the task's."""
     states, sights = np.int64(data[0, _STATES]), np.int64(data[0, _SIGHTS])
     seen = 1 + states * np.int64(data[0, _CONTROLS])
     changed = 0

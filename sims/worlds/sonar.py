@@ -19,11 +19,9 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.engine.layout import WIDTHS
-from hebbviz.engine.loop import WORLD as WORLD_SIGNATURE
 from hebbviz.learner.learner import Learner
 from hebbviz.limits import check_places
-from hebbviz.numerics.compile import called, compiled, inlined, row
+from hebbviz.numerics.compile import WIDTHS, called, compiled, inlined, row
 from hebbviz.numerics.counter_rng import WORLD, Draws, four_uniforms
 from hebbviz.task.base import (
     CompiledTask,
@@ -36,6 +34,7 @@ from hebbviz.task.base import (
     Score,
     Tally,
 )
+from hebbviz.task.signature import WORLD as WORLD_SIGNATURE
 from hebbviz.task.switches import Switch
 
 Array = NDArray[np.float64]
@@ -144,7 +143,7 @@ def _show(world, width, data, observation):  # type: ignore[no-untyped-def]
 
 @called(WORLD_SIGNATURE)
 def answer(world, action, data, keys, step, observation, reward, ended):  # type: ignore[no-untyped-def]
-    """The world's step for all lanes, see `loop.WORLD`."""
+    """The world's step for all lanes, see `signature.WORLD`."""
     lanes = world.shape[1]
     if lanes == WIDTHS[-1]:  # a constant lets the compiler compute several lanes at once
         is_over = _judge(world, WIDTHS[-1], data, action, reward)

@@ -16,9 +16,9 @@ import numpy as np
 from numba import cfunc, njit
 from numpy.typing import NDArray
 
-from hebbviz.engine.loop import WORLD
 from hebbviz.learner.learner import Learner
 from hebbviz.task.base import CompiledTask, Input, Output, Preset
+from hebbviz.task.signature import WORLD
 
 INPUTS, HIDDEN, OUTPUTS = 1000, 1000, 10
 LARGE = 64 * 2**20 // 8

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from hebbviz.conformance import check_task
-from hebbviz.engine.layout import WIDTHS
 from hebbviz.learner.learner import Learner
 from hebbviz.learner.saves import load, save
-from hebbviz.numerics.compile import compiled
+from hebbviz.numerics.compile import WIDTHS, compiled
 from hebbviz.numerics.counter_rng import unit
 from hebbviz.numerics.logistic import sigmoid
 from hebbviz.sims.loading import make_task

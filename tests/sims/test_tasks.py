@@ -15,7 +15,6 @@ from hebbviz.conformance import (
     check_evaluation,
     same_learner,
 )
-from hebbviz.engine.loop import WORLD
 from hebbviz.learner.learner import Learner, TaskError
 from hebbviz.numerics import counter_rng
 from hebbviz.numerics.compile import called
@@ -23,6 +22,7 @@ from hebbviz.numerics.counter_rng import Draws, four_uniforms
 from hebbviz.sims import TASKS
 from hebbviz.sims.loading import make_task
 from hebbviz.task.base import CompiledTask, Control, Input, Output, Preset, Task
+from hebbviz.task.signature import WORLD
 
 LEVER = f"{Path(__file__).parents[1] / 'examples' / 'lever.py'}:Lever"
 

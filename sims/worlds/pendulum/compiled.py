@@ -12,12 +12,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.engine.loop import WORLD
 from hebbviz.numerics.compile import called, compiled, inlined, row
 from hebbviz.numerics.counter_rng import NEXT_EPISODE, four_uniforms
 from hebbviz.sims.worlds.pendulum.physics import PLANT, fallen, is_plain, restart, rk4, walled
 from hebbviz.sims.worlds.pendulum.task import SEEN, Pendulum
 from hebbviz.task.base import CompiledTask
+from hebbviz.task.signature import WORLD
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ def _step(world, width, action, later):  # type: ignore[no-untyped-def]
 
 @called(WORLD)
 def answer(world, action, data, keys, step, observation, reward, ended):  # type: ignore[no-untyped-def]
-    """The world's step for all lanes, see `loop.WORLD`; `data` (1, 8) holds the gains."""
+    """The world's step for all lanes, see `signature.WORLD`; `data` (1, 8) holds the gains."""
     lanes = world.shape[1]
     if lanes == 1:  # constants let the compiler compute several lanes at once
         _step(world, 1, action, ended)
