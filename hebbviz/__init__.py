@@ -25,11 +25,11 @@ if TYPE_CHECKING:
         Measure,
         Output,
         Pose,
-        Preset,
         Prop,
         Reading,
         Task,
     )
+    from hebbviz.task.presets import Preset
     from hebbviz.topology import Group, Projection, Topology, feedforward
 
 __version__ = "0.1.0"
@@ -75,8 +75,9 @@ _MODULES = {
     "hebbviz.sims.figures.run_figure": ("figure",),
     "hebbviz.sims.loading": ("load", "make_task"),
     "hebbviz.task.base": (
-        "Control", "Input", "Measure", "Output", "Pose", "Preset", "Prop", "Reading", "Task",
+        "Control", "Input", "Measure", "Output", "Pose", "Prop", "Reading", "Task",
     ),
+    "hebbviz.task.presets": ("Preset",),
     "hebbviz.topology": ("Group", "Projection", "Topology", "feedforward"),
 }  # fmt: skip
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}

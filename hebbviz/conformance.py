@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from hebbviz.learner.learner import Learner
 from hebbviz.numerics.counter_rng import FIRST_EPISODE, NEXT_EPISODE, Draws
 from hebbviz.rules.base import Rule, make_rule
-from hebbviz.task.base import CompiledTask, Input, Output, Pose, Preset, Task
+from hebbviz.task.base import CompiledTask, Input, Output, Pose, Task
+from hebbviz.task.presets import Preset
 
 Array = NDArray[np.float64]
 MakeTask = Callable[[], Task]

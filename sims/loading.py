@@ -17,8 +17,8 @@ from hebbviz.learner.learner import Learner, TaskError
 from hebbviz.rules.base import Rule, make_rule, register
 from hebbviz.sims import task_class
 from hebbviz.sims.user_file import neighbours, own_file
-from hebbviz.task.base import Input, Output, Preset, Task
-from hebbviz.task.switches import UnknownPreset
+from hebbviz.task.base import Input, Output, Task
+from hebbviz.task.presets import Preset, UnknownPreset
 
 T = TypeVar("T")
 

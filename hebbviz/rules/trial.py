@@ -7,18 +7,29 @@ told.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from hebbviz.rules.base import Rule
 
 REWARDS = (0.0, -1.0, 1.0)
 
 
+class Tried(Protocol):
+    """What is used of a `Rule`."""
+
+    name: ClassVar[str]
+    memory: ClassVar[tuple[Any, ...]]
+    least_lanes: ClassVar[int]
+
+    @property
+    def constants(self) -> np.ndarray: ...
+
+    @staticmethod
+    def modulate(memory: Any, constants: Any, reward: Any, ended: Any, sent: Any) -> None: ...
+
+
 @lru_cache(maxsize=256)
-def try_out(rule: Rule) -> None:
+def try_out(rule: Tried) -> None:
     """Raise ValueError, in one line, if a rule raises, leaves its arrays, changes what it is only
     to read, or sends or keeps what is not finite. In as many lanes as it needs, and in some more.
     """
@@ -30,7 +41,7 @@ def try_out(rule: Rule) -> None:
             _step(rule, memory, reward, ended)
 
 
-def _step(rule: Rule, *given: np.ndarray) -> None:
+def _step(rule: Tried, *given: np.ndarray) -> None:
     memory, reward, ended = given
     constants, sent = rule.constants, np.full(len(reward), np.nan)
     for array in (constants, reward, ended):

@@ -7,13 +7,13 @@ from hebbviz.task.base import (
     Measure,
     Output,
     Pose,
-    Preset,
     Prop,
     Reading,
     Score,
     Tally,
     Task,
 )
+from hebbviz.task.presets import Preset
 
 __all__ = [
     "CompiledTask", "Control", "Input", "Measure", "Output", "Pose", "Preset", "Prop", "Reading",

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.task.switches import Switch, UnknownPreset, find_preset, is_on, spelled
+from hebbviz.task.presets import Preset, Switch, UnknownPreset, find_preset, is_on, spelled
 from hebbviz.theory.poisson import time_to_event
 from hebbviz.topology import SYMMETRIC, Activity, Topology, feedforward
 
@@ -46,24 +46,6 @@ class Output:
     name: str
     fires: str
     silent: str
-
-
-@dataclass(frozen=True)
-class Preset:
-    """A named setting of a task: the learner's β, γ and rule, and what the task needs besides.
-
-    `note` says in a sentence how it differs from the paper. `rule` is as `rules.make_rule` reads
-    it; `fall` the steps over which γ falls; `hidden` the sizes of the hidden layers, None for the
-    task's own.
-    """
-
-    beta: float
-    gamma: float
-    note: str
-    options: Mapping[str, Any] = field(default_factory=dict)
-    rule: str = "paper"
-    fall: float = math.inf
-    hidden: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -248,7 +230,7 @@ class Task:
         self.preset_name, self.preset = self.find_preset(preset)
 
     def find_preset(self, spec: str | None) -> tuple[str, Preset]:
-        """The preset of a name, as `switches.find_preset` reads it, and its shortest name; the
+        """The preset of a name, as `presets.find_preset` reads it, and its shortest name; the
         task's first for None.
 
         Raises UnknownPreset for a preset or a switch that the task does not have.

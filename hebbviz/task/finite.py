@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from hebbviz.limits import check_places
 from hebbviz.numerics.compile import called, compiled
 from hebbviz.numerics.counter_rng import WORLD, four_uniforms
-from hebbviz.task.base import CompiledTask, Input, Output, Preset
+from hebbviz.task.base import CompiledTask, Input, Output
+from hebbviz.task.presets import Preset
 from hebbviz.task.signature import WORLD as WORLD_SIGNATURE
 from hebbviz.theory.exact_gradient import GradientTruth
 from hebbviz.theory.network_chain import ExactNetwork
@@ -183,7 +184,7 @@ class FiniteWorld(CompiledTask):
         """From the exact chain; raises ValueError where the network is too large for one."""
         exact = self._exact
         if exact is None or exact.topology != topology:
-            exact = self._exact = ExactNetwork(self, topology)
+            exact = self._exact = ExactNetwork(self.pomdp, self.vectors, topology)
         chain = exact.at(weights)
         return GradientTruth(
             chain.gradient, chain.biased_gradient(beta), chain.noise(beta),

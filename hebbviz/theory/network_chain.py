@@ -30,8 +30,6 @@ For synapses d steps away it is d/(d + 1) in place of 1/2. `Chain.best_beta` fin
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,9 +38,6 @@ from hebbviz.theory.markov_chain import Chain
 from hebbviz.theory.policies import mixed_digits
 from hebbviz.theory.pomdp import POMDP
 from hebbviz.topology import Topology
-
-if TYPE_CHECKING:
-    from hebbviz.task.finite import FiniteWorld
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -91,8 +86,10 @@ class NetworkPolicy:
 class ExactNetwork:
     """A topology in a finite world: `at` gives the chain for any weights.
 
-    `pomdp` is the world as the neurons together see it, `policy` what they do in it. Its state
-    number is a·M + m, where m counts the M `pairs` (x, y) that are possible.
+    The observations of the `world` are shown as `vectors` (Y, inputs); its control is the outputs'
+    joint activity, output i being worth 2^i. `pomdp` is the world as the neurons together see it,
+    `policy` what they do in it. Its state number is a·M + m, where m counts the M `pairs` (x, y)
+    that are possible.
 
     Raises
     ------
@@ -100,23 +97,24 @@ class ExactNetwork:
         If the topology does not fit the world, or together they have too many states.
     """
 
-    def __init__(self, world: FiniteWorld, topology: Topology | None = None) -> None:
-        self.world = world
-        self.topology = t = world.topology() if topology is None else topology
-        outputs = t.neurons_of(t.output)
-        if (t.inputs, outputs.stop - outputs.start) != (len(world.inputs), len(world.outputs)):
+    def __init__(self, world: POMDP, vectors: Array, topology: Topology) -> None:
+        self.world, self.vectors, self.topology = world, vectors, topology
+        t = topology
+        inputs, outputs = vectors.shape[1], t.neurons_of(t.output)
+        commands = 2 ** (outputs.stop - outputs.start)
+        if (t.inputs, commands) != (inputs, world.controls):
             raise ValueError(
-                f"the world has {len(world.inputs)} inputs and {len(world.outputs)} outputs, "
-                f"the network {t.inputs} and {outputs.stop - outputs.start}"
+                f"the world has {inputs} inputs and {world.controls} controls, "
+                f"the network {t.inputs} inputs and outputs for {commands} controls"
             )
-        self.pairs: Whole = np.argwhere(world.pomdp.observations > 0.0)
+        self.pairs: Whole = np.argwhere(world.observations > 0.0)
         if 2 ** (3 * t.neurons) * len(self.pairs) ** 2 > MOST_NUMBERS:
             raise ValueError(
                 f"{t.neurons} neurons and {len(self.pairs)} states of the world make a table of "
                 f"2^{3 * t.neurons} × {len(self.pairs)}² numbers, the most is {MOST_NUMBERS:,}; "
                 "take fewer neurons"
             )
-        self.policy = NetworkPolicy(t, world.vectors)
+        self.policy = NetworkPolicy(t, vectors)
         self.pomdp = self._pomdp()
 
     def at(self, weights: Array) -> Chain:
@@ -135,7 +133,7 @@ class ExactNetwork:
         return np.flatnonzero((neurons.start <= post) & (post < neurons.stop))
 
     def _pomdp(self) -> POMDP:
-        world, (x, y) = self.world.pomdp, self.pairs.T
+        world, (x, y) = self.world, self.pairs.T
         outputs = self.topology.neurons_of(self.topology.output)
         fired = self.policy.fired
         commands = (2 ** np.arange(outputs.stop - outputs.start)) @ fired[outputs]

@@ -106,7 +106,7 @@ def make(order: Order, work: Work) -> Sheet:
     found = work.curves(plans)
     each = len(plans) // len(BETAS)
     network, weights = small_example()
-    truths = [network.world.truth(weights, network.topology, beta) for beta in BETAS]
+    truths = [Lamps().truth(weights, network.topology, beta) for beta in BETAS]
     courses = [
         _course(beta, found[k * each : (k + 1) * each], truth)
         for k, (beta, truth) in enumerate(zip(BETAS, truths, strict=True))

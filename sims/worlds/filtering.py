@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from hebbviz.learner.learner import Learner
 from hebbviz.sims.worlds import strip_chart
 from hebbviz.sims.worlds.strip_chart import Row
-from hebbviz.task.base import Input, Measure, Output, Pose, Preset, Prop, Reading, Tally
+from hebbviz.task.base import Input, Measure, Output, Pose, Prop, Reading, Tally
 from hebbviz.task.finite import NOTHING, FiniteWorld
+from hebbviz.task.presets import Preset
 from hebbviz.theory.pomdp import POMDP
 from hebbviz.topology import Projection, Topology
 

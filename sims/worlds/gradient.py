@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.sims.worlds.lamps import SMALL_EXAMPLE, Lamps
-from hebbviz.task.base import Preset
+from hebbviz.task.presets import Preset
 
 Array = NDArray[np.float64]
 

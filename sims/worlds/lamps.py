@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.task.base import Input, Output, Preset
+from hebbviz.task.base import Input, Output
 from hebbviz.task.finite import FiniteWorld
+from hebbviz.task.presets import Preset
 from hebbviz.theory.network_chain import ExactNetwork
 from hebbviz.theory.pomdp import POMDP
 from hebbviz.topology import Topology
@@ -73,4 +74,5 @@ def small_example() -> tuple[ExactNetwork, Array]:
     and γ = 0.02 it is learnt in 60 000 steps, to 0.79 and more; at β = 0 the hidden layer only
     diffuses, and most runs stay below 0.65.
     """
-    return ExactNetwork(Lamps()), np.array(SMALL_EXAMPLE)
+    lamps = Lamps()
+    return ExactNetwork(lamps.pomdp, lamps.vectors, lamps.topology()), np.array(SMALL_EXAMPLE)

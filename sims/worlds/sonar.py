@@ -23,19 +23,9 @@ from hebbviz.learner.learner import Learner
 from hebbviz.limits import check_places
 from hebbviz.numerics.compile import WIDTHS, called, compiled, inlined, row
 from hebbviz.numerics.counter_rng import WORLD, Draws, four_uniforms
-from hebbviz.task.base import (
-    CompiledTask,
-    Input,
-    Measure,
-    Output,
-    Pose,
-    Preset,
-    Reading,
-    Score,
-    Tally,
-)
+from hebbviz.task.base import CompiledTask, Input, Measure, Output, Pose, Reading, Score, Tally
+from hebbviz.task.presets import Preset, Switch
 from hebbviz.task.signature import WORLD as WORLD_SIGNATURE
-from hebbviz.task.switches import Switch
 
 Array = NDArray[np.float64]
 

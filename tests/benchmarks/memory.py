@@ -17,7 +17,8 @@ from numba import cfunc, njit
 from numpy.typing import NDArray
 
 from hebbviz.learner.learner import Learner
-from hebbviz.task.base import CompiledTask, Input, Output, Preset
+from hebbviz.task.base import CompiledTask, Input, Output
+from hebbviz.task.presets import Preset
 from hebbviz.task.signature import WORLD
 
 INPUTS, HIDDEN, OUTPUTS = 1000, 1000, 10

@@ -14,7 +14,8 @@ from hebbviz.engine.kernel import sigmoid
 from hebbviz.learner.learner import Learner
 from hebbviz.numerics.counter_rng import FIRST_EPISODE, Draws
 from hebbviz.reference import Reference, sigma
-from hebbviz.task.base import Input, Output, Preset, Task
+from hebbviz.task.base import Input, Output, Task
+from hebbviz.task.presets import Preset
 from hebbviz.topology import BINARY, SYMMETRIC, Group, Projection, Topology
 
 STEPS = 10_000

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from hebbviz.conformance import check_task
 from hebbviz.learner.learner import Learner
 from hebbviz.sims.worlds.lamps import Lamps, small_example
-from hebbviz.task.base import Output, Preset
+from hebbviz.task.base import Output
 from hebbviz.task.finite import FiniteWorld, finite_world
+from hebbviz.task.presets import Preset
 from hebbviz.theory.network_chain import ExactNetwork, NetworkPolicy
 from hebbviz.theory.policies import Gibbs, Independent, Neuron
 from hebbviz.theory.pomdp import POMDP
@@ -61,17 +62,20 @@ def random_world(rng, topology, *, states=3, sights=2):
     return finite_world(pomdp, vectors, activity=topology.activity)
 
 
+def network(task, topology):
+    return ExactNetwork(task.pomdp, task.vectors, topology)
+
+
 def random_case(name, seed=0):
     rng = np.random.default_rng(seed)
     topology = NETWORKS[name]()
-    net = ExactNetwork(random_world(rng, topology), topology)
+    net = network(random_world(rng, topology), topology)
     return net, rng.normal(size=topology.synapses)
 
 
 def learner_at(net, weights, *, beta, gamma=TINY, seed=0, lanes=LANES):
-    learner = Learner(
-        net.world, topology=net.topology, beta=beta, gamma=gamma, seed=seed, lanes=lanes
-    )
+    world = finite_world(net.world, net.vectors, activity=net.topology.activity)
+    learner = Learner(world, topology=net.topology, beta=beta, gamma=gamma, seed=seed, lanes=lanes)
     learner.set_weights(np.repeat(weights[:, None], lanes, axis=1))
     learner.skip(300)
     return learner
@@ -264,7 +268,7 @@ def held(rewards, *, right_if_fires=1.0, right_if_silent=0.0):
 
 
 def held_chain(world, hidden, seed, scale=1.0):
-    net = ExactNetwork(world, world.topology(hidden))
+    net = network(world, world.topology(hidden))
     weights = scale * np.random.default_rng(seed).normal(size=net.topology.synapses)
     return net, net.at(weights)
 
@@ -396,11 +400,11 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="2 outputs make 4 controls, the world has 3"):
         finite_world(odd, np.eye(2))
     task = finite_world(world, np.eye(3))
-    with pytest.raises(ValueError, match="the world has 3 inputs and 1 outputs, the network 2"):
-        ExactNetwork(task, feedforward(2, (), 1))
+    with pytest.raises(ValueError, match="3 inputs and 2 controls, the network 2 inputs"):
+        network(task, feedforward(2, (), 1))
     with pytest.raises(ValueError, match="take fewer neurons"):
-        ExactNetwork(task, feedforward(3, (9,), 1))
-    net = ExactNetwork(task, feedforward(3, (), 1))
+        network(task, feedforward(3, (9,), 1))
+    net = network(task, feedforward(3, (), 1))
     for bad in (np.zeros(2), np.full(3, np.inf)):
         with pytest.raises(ValueError, match="weights must be finite and of shape"):
             net.at(bad)

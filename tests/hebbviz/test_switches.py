@@ -16,7 +16,7 @@ from hebbviz.server.run.changes import Freeze, SetBeta, SetRule
 from hebbviz.server.run.run import Run
 from hebbviz.sims.loading import make_task
 from hebbviz.sims.worlds.sonar import ENERGIES, Sonar
-from hebbviz.task.switches import UnknownPreset
+from hebbviz.task.presets import UnknownPreset
 
 BASELINE = "baseline:time=50"
 

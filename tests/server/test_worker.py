@@ -60,7 +60,8 @@ from hebbviz.server.run.keyframes import Moment
 from hebbviz.server.run.run import Follower, Run
 from hebbviz.sims.loading import make_task
 from hebbviz.sims.worlds.pendulum.task import Pendulum
-from hebbviz.task.base import Input, Output, Preset, Tally, Task
+from hebbviz.task.base import Input, Output, Tally, Task
+from hebbviz.task.presets import Preset
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -41,7 +41,7 @@ from hebbviz.sims.figures.run_figure import progress_bar
 from hebbviz.sims.figures.run_length import Time
 from hebbviz.sims.figures.sheet import Origin, Sheet, apart, blank, look, save
 from hebbviz.sims.loading import make_task
-from hebbviz.sims.worlds.lamps import small_example
+from hebbviz.sims.worlds.lamps import Lamps, small_example
 from hebbviz.sims.worlds.pendulum.physics import PLANT
 from hebbviz.sims.worlds.pendulum.task import Pendulum
 from hebbviz.sims.worlds.sonar import Sonar
@@ -237,7 +237,7 @@ def test_gradient_shows_the_angles_of_real_learners_and_of_the_exact_chain(made)
         assert cosine == pytest.approx(chain.expected_cosine(beta, steps=steps), abs=1e-9)
         bias = angle_between(chain.gradient, chain.biased_gradient(beta))
         assert figure.says["bias"][k] == pytest.approx(bias, abs=1e-9)
-    learner = Learner(network.world, topology=network.topology, beta=0.8, gamma=STILL, first_lane=1)
+    learner = Learner(Lamps(), topology=network.topology, beta=0.8, gamma=STILL, first_lane=1)
     learner.set_weights(weights[:, None])
     learner.skip(steps)
     angle = angle_between(chain.gradient, learner.weights[:, 0] - weights)

@@ -1,4 +1,4 @@
-"""What can be switched on or off in a task beside any of its presets, and how that is spelled.
+"""The presets of a task, what can be switched on or off beside any of them, and their names.
 
 A preset is named as `NAME`, or as `NAME:switch=yes,switch=no` with some of the task's switches
 set otherwise than it has them. That name says all of the task's setting, so it is what saves,
@@ -7,18 +7,34 @@ recordings, figures and command lines hold.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from hebbviz.task.base import Preset
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 SAID = {"yes": True, "no": False}
 
 
 class UnknownPreset(ValueError):
     """A task has no preset or no switch of that name; the message, one line, says what it has."""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A named setting of a task: the learner's β, γ and rule, and what the task needs besides.
+
+    `note` says in a sentence how it differs from the paper. `rule` is as `rules.make_rule` reads
+    it; `fall` the steps over which γ falls; `hidden` the sizes of the hidden layers, None for the
+    task's own.
+    """
+
+    beta: float
+    gamma: float
+    note: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    rule: str = "paper"
+    fall: float = math.inf
+    hidden: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True)
