@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from hebbviz.engine.batch import Tiles
 from hebbviz.engine.buffers import NOBODY, Notes
 from hebbviz.engine.layout import Layout
 from hebbviz.learner.frames import Block, Frame, Keyframe
+from hebbviz.learner.settings import RunSettings
 from hebbviz.learner.summing import Summing
 from hebbviz.learner.world import check_fit, world_of
 from hebbviz.limits import (
@@ -118,6 +120,42 @@ class Learner:
         with _blamed(task):
             self._world.start()
         self._new_summary()
+
+    @classmethod
+    def of(cls, task: Task, settings: RunSettings) -> Learner:
+        """A learner with these settings, at its start; raises as `Learner` does."""
+        learner = cls(
+            task,
+            topology=settings.topology,
+            beta=settings.beta,
+            gamma=settings.gamma,
+            rule=settings.rule,
+            fall=settings.fall,
+            seed=settings.seed,
+            lanes=settings.lanes,
+            first_lane=settings.first_lane,
+            dtype=settings.dtype,
+            written_out=settings.unrolled,
+        )
+        learner.freeze(settings.frozen)
+        return learner
+
+    @property
+    def settings(self) -> RunSettings:
+        """The settings that make this run again, as they are now."""
+        return RunSettings(
+            topology=self.topology,
+            beta=self.beta,
+            gamma=self.gamma,
+            fall=self._fall,
+            rule=self._rule,
+            seed=self.seed,
+            lanes=self.lanes,
+            first_lane=self.first_lane,
+            dtype=self.dtype,
+            unrolled=self._written_out,
+            frozen=self._frozen,
+        )
 
     # Moving on
 
@@ -397,11 +435,8 @@ class Learner:
 
         It shows the same lane.
         """
-        twin = Learner(
-            self.task if task is None else task, topology=self.topology, beta=self.beta,
-            gamma=self.gamma, rule=self._rule, fall=self._fall, seed=self.seed, lanes=self.lanes,
-            first_lane=self.first_lane, dtype=self.dtype, written_out=self._written_out,
-        )  # fmt: skip
+        settings = replace(self.settings, frozen=False)
+        twin = Learner.of(self.task if task is None else task, settings)
         twin.look_at(self.watch)
         return twin
 

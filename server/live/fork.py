@@ -6,7 +6,7 @@ it draws the same numbers, so what they differ in is all that sets them apart.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,10 +121,7 @@ def _donor(run: Run) -> Learner:
     The rewards of its first lane are taken, for all lanes of the other copy.
     """
     learner = run.learner
-    donor = Learner(
-        learner.task, topology=learner.topology, rule=learner.rule,
-        seed=(learner.seed + 1) % LARGEST_SEED, lanes=learner.lanes,
-        first_lane=learner.first_lane,
-    )  # fmt: skip
+    seed = (learner.seed + 1) % LARGEST_SEED
+    donor = Learner.of(learner.task, replace(learner.settings, seed=seed))
     donor.restore(learner.keyframe())
     return donor

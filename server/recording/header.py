@@ -11,6 +11,7 @@ from importlib.metadata import version
 from typing import Any
 
 import hebbviz
+from hebbviz.learner.settings import RunSettings
 from hebbviz.limits import fall_from_json, fall_to_json
 from hebbviz.rules.base import Rule, make_rule
 from hebbviz.rules.paper import PAPER
@@ -76,6 +77,19 @@ class Header:
     thinning: str
     versions: dict[str, str]
     machine: str
+
+    @property
+    def settings(self) -> RunSettings:
+        """The settings of the run. Raises BadRecording if its rule is not known here."""
+        return RunSettings(
+            topology=self.topology,
+            beta=self.beta,
+            gamma=self.gamma,
+            fall=self.fall,
+            rule=known_rule(self.rule),
+            seed=self.seed,
+            first_lane=self.first_lane,
+        )
 
     def to_json(self) -> str:
         said = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}

@@ -83,11 +83,7 @@ class Recording:
         header = self.header
         task = make_task(header.task, header.preset) if task is None else task
         try:
-            learner = Learner(
-                task, topology=header.topology, beta=header.beta, gamma=header.gamma,
-                rule=known_rule(header.rule), fall=header.fall, seed=header.seed,
-                first_lane=header.first_lane,
-            )  # fmt: skip
+            learner = Learner.of(task, header.settings)
             learner.restore(self.moments[-1].keyframe)
         except ValueError as error:
             raise BadRecording(f"{self.path} does not fit task {header.task!r}: {error}") from error

@@ -287,15 +287,13 @@ class Run:
     ) -> Learner:
         """What a reset begins with."""
         old = self.learner
-        fresh = Learner(
-            task, topology=old.topology.with_inputs(len(task.inputs)), beta=old.beta,
-            gamma=old.gamma, rule=old.rule, fall=old.fall,
+        settings = replace(
+            old.settings,
+            topology=old.topology.with_inputs(len(task.inputs)),
             seed=old.seed if seed is None else seed,
             lanes=old.lanes if lanes is None else lanes,
-            first_lane=old.first_lane,
-        )  # fmt: skip
-        fresh.freeze(old.frozen)
-        return fresh
+        )
+        return Learner.of(task, settings)
 
     def _begin(self, learner: Learner, task_name: str, ghost: Curves | None) -> None:
         self.learner, self.task_name, self.ghost = learner, task_name, ghost

@@ -427,3 +427,16 @@ def test_a_keyframes_digest_tells_every_bit(run):
         assert replace(keyframe, **{change: array}).digest() != digest
     assert replace(keyframe, step=keyframe.step + 1).digest() != digest
     assert replace(keyframe, frozen=True).digest() != digest
+
+
+def test_the_settings_of_a_run_make_it_again() -> None:
+    task = make_task("synapse")
+    learner = Learner(
+        task, beta=0.7, gamma=0.3, fall=500.0, seed=9, lanes=2, first_lane=4, dtype="float32"
+    )
+    learner.freeze(True)
+    again = Learner.of(task, learner.settings)
+    assert again.settings == learner.settings
+    learner.advance(300)
+    again.advance(300)
+    assert same_learner(learner, again)
