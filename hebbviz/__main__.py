@@ -1,6 +1,4 @@
-"""`python -m hebbviz` is the command line. That stands above this package, and is imported here
-alone, when it is run.
-"""
+"""The command line, started as `python -m hebbviz`. Only this file imports it, when it runs."""
 
 if __name__ == "__main__":
     from hebbviz.server.cli.main import program

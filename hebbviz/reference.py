@@ -1,16 +1,16 @@
-"""The paper, read aloud: its equations in plain NumPy, one lane, float64, any topology.
+"""The paper's equations in plain NumPy: one lane, float64, any topology.
 
-This file is for reading and for checking; everything faster must agree with it.
+This file is for reading and for checking; all faster code must agree with it.
 
     v_t = Σ_j w_j u^j_{t−1}                          equation (potential)
     Pr(u_t = 1) = σ(v_t)                             equation (neuron)
     z_{t+1} = β z_t + (u_t − σ(v_t)) u^j_{t−1}       equation (neuron-zupdate)
     w_{t+1} = w_t + γ r_{t+1} z_{t+1}                equation (neuron-update)
 
-Algorithm 1 of the paper differs from these equations by slips of the index: it has z_{t+1} on
-both sides, and its activities are one step late against the reward. Here, as in the equations, a
-step draws u_t from the activities u_{t−1}, adds to z, lets the world answer u_t with a reward r,
-and moves w by γ r z. For activities ±1 the paper's 'essentially identical derivation' gives the
+Algorithm 1 of the paper differs from these equations in its indices: it has z_{t+1} on both
+sides, and its activities lag the reward by one step. This file follows the equations: a step
+draws u_t from the activities u_{t−1}, adds to z, lets the world answer u_t with a reward r, and
+moves w by γ r z. For activities ±1 the paper's 'essentially identical derivation' gives the
 eligibility term ((u_t + 1)/2 − σ(v_t)) u^j_{t−1}.
 """
 
@@ -34,9 +34,9 @@ def sigma(v: Array) -> Array:
 class Reference:
     """A network of the paper's neurons, stepped one equation at a time.
 
-    `weights` is a list with one array (post, pre) per projection of the topology; `beta` and
-    `gamma` hold for all of them and may be changed between steps. `traces` has the shapes of
-    `weights`; `activities` maps each group's name to its (size,) values.
+    `weights` holds one array (post, pre) per projection of the topology; `beta` and `gamma` apply
+    to all projections and may change between steps. `traces` has the shapes of `weights`;
+    `activities` maps each group's name to its (size,) values.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Reference:
             self.activities[g.name] = np.array(x[self.topology.units_of(g.name)])
 
     def potential(self, group: str) -> Array:
-        """Equation (potential): v_t of every neuron of a group."""
+        """Return v_t of every neuron of a group, (size,): equation (potential)."""
         return sum(
             (
                 w @ self.activities[p.pre]
@@ -71,7 +71,10 @@ class Reference:
         )
 
     def respond(self) -> Array:
-        """Equations (neuron) and (neuron-zupdate); returns the outputs' activities u_t."""
+        """Draw the spikes and update the traces: equations (neuron) and (neuron-zupdate).
+
+        Returns the activities u_t of the output group.
+        """
         low, high = self.topology.activity
         draws = uniforms(
             self.topology.neurons, seed=self.seed, lane=self.lane, purpose=SPIKES, step=self.step
@@ -93,6 +96,6 @@ class Reference:
         return now[self.topology.output]
 
     def reinforce(self, reward: float) -> None:
-        """Equation (neuron-update): w moves by γ r z."""
+        """Move the weights by γ r z: equation (neuron-update)."""
         for w, z in zip(self.weights, self.traces, strict=True):
             w += self.gamma * reward * z

@@ -1,8 +1,8 @@
-"""Who is connected to whom: named groups and the projections between them.
+"""Topologies: named groups of units and the projections between them.
 
-A network is a list of groups. Input groups carry values that the world sets; every other group
-is made of spiking neurons. A projection connects each unit of one group to each neuron of
-another, itself included, so recurrent networks need nothing special.
+Input groups carry values that the world sets; all other groups consist of spiking neurons. A
+projection connects each unit of one group to each neuron of another group or of the same one, so
+recurrent networks are no special case.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MOST_SYNAPSES = 4_000_000
 
 @dataclass(frozen=True)
 class Group:
-    """A named population of `size` units; `is_input` says that the world sets its values."""
+    """A named population of `size` units; the world sets the values of an input group."""
 
     name: str
     size: int
@@ -35,7 +35,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Projection:
-    """All-to-all synapses from group `pre` to group `post`, called by those names."""
+    """All-to-all synapses from the group named `pre` to the group named `post`."""
 
     pre: str
     post: str
@@ -50,14 +50,14 @@ class Projection:
 class Topology:
     """Groups, projections and the pair of activity values.
 
-    Units are numbered input groups first, then neurons, each in the order of `groups`. Synapses
-    are numbered projection by projection, each of shape (post, pre) row by row.
+    Units are numbered in the order of `groups`, input groups first, then neurons. Synapses are
+    numbered projection by projection, each of shape (post, pre), row by row.
 
     Raises
     ------
     ValueError
-        If names repeat or are unknown, a size is out of range, an input is a target, or the
-        group of outputs is not one of neurons.
+        If names repeat or are unknown, a size is out of range, a projection targets an input
+        group, or the output is not a group of neurons.
     """
 
     groups: tuple[Group, ...]
@@ -116,8 +116,9 @@ class Topology:
         return sum(self.shape(p)[0] * self.shape(p)[1] for p in self.projections)
 
     def fits_in(self, rows: int) -> bool:
-        """Whether a state of so many rows can be one of this network: to be asked before it is
-        made, where a file says how large it is.
+        """Whether a state with this many rows can belong to this network.
+
+        Ask before making a network whose sizes come from a file.
         """
         return self.synapses + sum(group.size for group in self.groups) <= rows
 
@@ -126,7 +127,7 @@ class Topology:
         return next(g for g in self.groups if g.name == name)
 
     def first_unit(self, name: str) -> int:
-        """Number of the first unit of a group, in the order inputs, then neurons."""
+        """Return the number of a group's first unit, counting inputs, then neurons."""
         start = 0
         for g in (*self.input_groups, *self.neuron_groups):
             if g.name == name:
@@ -145,23 +146,23 @@ class Topology:
         return slice(start, start + self.group(name).size)
 
     def shape(self, projection: Projection) -> tuple[int, int]:
-        """(post, pre) sizes of a projection."""
+        """Return the sizes (post, pre) of a projection."""
         return self.group(projection.post).size, self.group(projection.pre).size
 
     def synapses_of(self, index: int) -> slice:
-        """The synapses of projection number `index` in the flat numbering."""
+        """Return the numbers of the synapses of projection `index`, as a slice."""
         sizes = [a * b for a, b in map(self.shape, self.projections)]
         start = sum(sizes[:index])
         return slice(start, start + sizes[index])
 
     def is_held(self, projection: Projection) -> bool:
-        """Whether the presynaptic values come from the world (held input, see `rule`)."""
+        """Whether the presynaptic values come from the world (held input)."""
         return self.group(projection.pre).is_input
 
     def with_inputs(self, size: int) -> Topology:
-        """The same network for so many input units.
+        """Return the same network with `size` input units.
 
-        Raises ValueError if several groups would have to share them.
+        Raises ValueError if it has several input groups.
         """
         if size == self.inputs:
             return self
@@ -174,7 +175,7 @@ class Topology:
         )
 
     def describe(self) -> str:
-        """Sizes in short, as in '8-4-2'."""
+        """Return the sizes of the groups, as in '8-4-2'."""
         return "-".join(str(g.size) for g in self.groups)
 
     def to_json(self) -> dict[str, Any]:
@@ -188,7 +189,10 @@ class Topology:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Topology:
-        """The inverse of `to_json`; raises ValueError, TypeError or KeyError on anything else."""
+        """Return the topology that `to_json` wrote.
+
+        Raises ValueError, TypeError or KeyError for any other data.
+        """
         low, high = data["activity"]
         return cls(
             groups=tuple(Group(str(n), int(s), bool(i)) for n, s, i in data["groups"]),
@@ -201,7 +205,7 @@ class Topology:
 def feedforward(
     inputs: int, hidden: Iterable[int], outputs: int, *, activity: Activity = SYMMETRIC
 ) -> Topology:
-    """Layers, each connected to the next: the networks of the paper's simulations."""
+    """Make a layered network, as in the paper's simulations."""
     sizes = list(hidden)
     names = ["hidden"] if len(sizes) == 1 else [f"hidden {k + 1}" for k in range(len(sizes))]
     groups = (
@@ -214,12 +218,9 @@ def feedforward(
 
 
 def parse_hidden(text: str) -> tuple[int, ...]:
-    """Sizes of the hidden layers from a command line: '16', '8,8', or 'none'.
+    """Parse the sizes of the hidden layers from a command line: '16', '8,8' or 'none'.
 
-    Raises
-    ------
-    ValueError
-        If the text is anything else.
+    Raises ValueError for any other text.
     """
     if text.strip().lower() == "none":
         return ()

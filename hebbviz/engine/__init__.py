@@ -1,1 +1,1 @@
-"""The compiled engine: the rule's kernel, the closed loop, and the lanes that it steps."""
+"""The compiled engine: the rule's kernel, the closed loop, and blocks of lanes."""

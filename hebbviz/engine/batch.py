@@ -1,4 +1,4 @@
-"""All lanes of a network: the tiles as one, numbers of all lanes going in and coming out."""
+"""A batch: all lanes of a network, stored as one or more tiles."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Array = NDArray[np.float64]
 
 
 class Tiles:
-    """Lanes `first_lane` to `first_lane + lanes - 1` of a seed, in as few tiles as do, as equal as
-    can be; float32 or float64.
+    """Lanes `first_lane` to `first_lane + lanes - 1` of a seed, in float32 or float64.
 
-    Iterating gives each tile, and which of the lanes it has.
+    They are divided into as few tiles as possible, of nearly equal size. Iteration yields each
+    tile with the slice of its lanes.
     """
 
     def __init__(
@@ -43,46 +43,46 @@ class Tiles:
         return iter(self._cut)
 
     def place_of(self, lane: int) -> tuple[Tile, int]:
-        """The tile of a lane, and its number there."""
+        """Return the tile that holds a lane, and the lane's index in it."""
         for tile, part in self:
             if lane < part.stop:
                 return tile, lane - part.start
         raise IndexError(f"lane must be below {self.lanes}, got {lane}")
 
     def watched(self, lane: int) -> list[tuple[Tile, int]]:
-        """Each tile, and which of its lanes the watched one is, NOBODY if it is another's."""
+        """Return each tile with the index of the watched lane in it, NOBODY if it has another."""
         return [
             (tile, lane - part.start if part.start <= lane < part.stop else NOBODY)
             for tile, part in self
         ]
 
     def joined(self, part: Callable[[Tile], Array]) -> Array:
-        """What each tile has of something, (rows, its lanes), for all lanes."""
+        """Join the results of `part` for each tile, (rows, its lanes), to (rows, lanes)."""
         return np.concatenate([part(tile) for tile in self._tiles], axis=1)
 
     def read(self, name: str) -> Array:
-        """A section that the state holds, (rows, lanes)."""
+        """Return a section of the state, (rows, lanes)."""
         return self.joined(lambda tile: tile.read(name))
 
     def put(self, name: str, values: Array | float) -> None:
-        """Set a section: a number, or (rows, lanes)."""
+        """Set a section to a number or to an array (rows, lanes)."""
         for tile, part in self:
             tile.put(name, values if np.ndim(values) == 0 else np.asarray(values)[:, part])
 
     # Going back
 
     def keep(self) -> None:
-        """Remember this moment."""
+        """Store the present state for `back`."""
         for tile in self._tiles:
             tile.keep()
 
     def back(self) -> None:
-        """As it was when it was last kept."""
+        """Return to the state of the last `keep`."""
         for tile in self._tiles:
             tile.back()
 
 
 def _cut(lanes: int) -> list[int]:
-    """How many lanes each tile has."""
+    """The number of lanes in each tile."""
     tiles = -(-lanes // WIDTHS[-1])
     return [len(part) for part in np.array_split(np.arange(lanes), tiles)]

@@ -1,6 +1,6 @@
-"""What is noted of a run: each step of a block, and sums over all steps since the last Frame.
+"""Buffers of the watched lane: notes of each step, and sums over the steps since the last Frame.
 
-Both are of one lane, the watched one. Compiled code writes into their arrays.
+Compiled code writes into their arrays.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 NOBODY = -1
-"""In place of a watched lane: nothing is noted."""
+"""Stands for no watched lane: nothing is noted."""
 
 
 class Notes(NamedTuple):
-    """What is written of each step: fired, rewards, and if asked for v and the world."""
+    """Arrays with one row per step: spikes, rewards, and on request v and the world's state."""
 
     fired: NDArray[np.uint8]
     rewards: Array
@@ -26,7 +26,9 @@ class Notes(NamedTuple):
 
     @classmethod
     def of(cls, steps: int, neurons: int, numbers: int | None) -> Notes:
-        """Room for `steps`; `numbers` of the world's state, None if v and state are not asked."""
+        """Make room for `steps`; `numbers` is the size of the world's state, None to note neither
+        v nor the state.
+        """
         near = 0 if numbers is None else steps
         return cls(
             np.zeros((steps, neurons), dtype=np.uint8), np.zeros((steps, 3)),
@@ -34,13 +36,13 @@ class Notes(NamedTuple):
         )  # fmt: skip
 
     def part(self, piece: slice) -> Notes:
-        """The room for some of the steps, and none where there is none."""
+        """Return views of the rows in `piece`."""
         fired, *others = self
         return Notes(fired[piece], *(rows[piece] for rows in others))
 
 
 class Sums(NamedTuple):
-    """What the engine sums up over steps: spikes, least and greatest v and z, rows of probes."""
+    """Sums over steps: spike counts, minima and maxima of v and z, rows of the probes."""
 
     counts: NDArray[np.int64]
     extremes: Array

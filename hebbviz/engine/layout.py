@@ -1,12 +1,13 @@
-"""Where everything sits: one array of numbers per tile of lanes, (rows, width), the lane last.
+"""The layout of a network's numbers: one array (rows, width) per tile, the lane last.
 
-A tile is up to WIDTHS[-1] lanes that are stepped together. What is read together stands together,
-in records: a neuron's activity, potential and surprise in consecutive rows, a synapse's weight and
-trace likewise. Within a record compiled code reaches each row by a constant, so that the
-compiler sees that rows differ and computes several lanes at once without asking at run time.
+A tile holds up to WIDTHS[-1] lanes that are stepped together. Numbers that are read together are
+stored together in records: the activity, potential and surprise of a neuron are in consecutive
+rows, and so are the weight and trace of a synapse. Within a record compiled code addresses each
+row by a constant offset, so the compiler sees that rows do not overlap and vectorizes over lanes
+without a check at run time.
 
-Outside, the same numbers have one order for good, by SECTIONS: saves, keyframes and checksums do
-not know of records. `Layout.pack` leads there, and `unpack` back.
+Saves, keyframes and checksums do not use records. They hold the same numbers in the fixed order of
+SECTIONS; `Layout.pack` converts to that order, and `unpack` converts back.
 """
 
 from __future__ import annotations
@@ -26,24 +27,24 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 VECTOR = 16 if get_host_cpu_features().get("avx512f") else 8
-"""Lanes that the processor computes at once in float32."""
+"""Lanes in one vector of the processor in float32."""
 
 SECTIONS = (
     "activity",  # u of inputs, then neurons: value; (units, lanes)
-    "before",  # u of the step before, which this step's v and z were made from, (units, lanes)
+    "before",  # u of the previous step, from which v and z were computed, (units, lanes)
     "potential",  # v, (neurons, lanes)
     "probability",  # σ(v), (neurons, lanes)
     "draw",  # the uniform number that u was drawn with, (neurons rounded up to 4, lanes)
-    "fired",  # 1 where the neuron fired at this step, else 0, (neurons, lanes)
+    "fired",  # 1 if the neuron fired at this step, 0 if not, (neurons, lanes)
     "surprise",  # fired − σ(v), the neuron's half of the eligibility term, (neurons, lanes)
-    "clamp",  # 1 or 0 makes a neuron fire or not, NaN leaves it to chance, (neurons, lanes)
+    "clamp",  # 1 makes a neuron fire, 0 keeps it silent, NaN clamps nothing, (neurons, lanes)
     "weight",  # w, stored folded (see rule), (synapses, lanes)
     "trace",  # z, stored folded (see rule), (synapses, lanes)
     "beta",  # the same for all lanes, (projections, lanes)
     "gamma",  # the step size in force, 0 while frozen, the same for all lanes, (projections, lanes)
-    "by_hand",  # reward given by hand, added to the next r, (1, lanes)
+    "by_hand",  # manual reward, added to the next r, (1, lanes)
     "reward",  # last r: of the task, and as broadcast, (2, lanes)
-    "tally",  # totals so far: reward of the task, reward broadcast, episodes ended, (3, lanes)
+    "tally",  # totals: reward of the task, reward broadcast, episodes ended, (3, lanes)
     "decay",  # held input: the product of β since the fold, (projections, lanes)
     "gain",  # held input: Σ γ r · decay since the fold, (projections, lanes)
     "z_input",  # held input: z = decay·z₀ + z_input·x, (rows of post neurons, lanes)
@@ -54,12 +55,12 @@ SECTIONS = (
 )
 
 ABSENT = ("probability", "draw", "fired", "tally")
-"""SECTIONS that no row of the state holds: they follow from others, or, the tally, is float64
-whatever the state is.
+"""SECTIONS that are not rows of the state. The tally is float64 whatever the dtype of the state;
+the others follow from other sections.
 """
 
 BLOCK = 4
-"""Random numbers come so many at a time."""
+"""Random numbers that one call of the generator gives."""
 
 NEURON = ("activity", "before", "potential", "surprise", "clamp")
 PROJECTION = ("beta", "gamma", "decay", "gain", "x_squared", "push")
@@ -67,29 +68,29 @@ HELD = ("z_input", "w_input", "w_drive", "z_drive")
 SYNAPSE = ("weight", "trace")
 """Rows of each kind of record. `push` is γ times the broadcast reward of the step.
 
-The probability, the draw and the spike of a step are not kept: they follow from the potential, from
-the number of the step, and from the activity.
+The probability, the draw and the spike of a step are not stored: they follow from the potential,
+the step number and the activity.
 """
 
 HEADER = (
     "inputs", "neurons", "outputs", "projections",
     "input", "input_before", "neuron", "output", "projection", "by_hand", "reward",
 )  # fmt: skip
-"""Columns of the first row of the table: how many, then first rows. Then one row of COLUMNS per
-projection."""
+"""Columns of the first row of the table: four counts, then the first row of each kind. One row of
+COLUMNS per projection follows."""
 
 COLUMNS = ("pre", "pre_size", "post", "post_size", "synapse", "is_held", "held", "is_first")
-"""First presynaptic row (of an input, or of a neuron's record), how many, first postsynaptic
-neuron's record, how many, first synapse's record, whether the presynaptic values are held input,
-first record of the held sums, whether it is the first one onto its group."""
+"""Columns of a projection: first presynaptic row (of an input or of a neuron's record) and size,
+first postsynaptic neuron's record and size, first synapse's record, whether the presynaptic values
+are held input, first record of the held sums, whether it is the first projection onto its group."""
 
 
 CACHE_LINE = 64
-"""Bytes. A vector of lanes that lies across two lines takes twice as long to fetch."""
+"""Size in bytes. Fetching a vector that crosses two cache lines takes twice as long."""
 
 
 def aligned(rows: int, width: int, dtype: type[np.generic] = np.float64) -> NDArray[Any]:
-    """Zeros, (rows, width), that begin where a cache line does."""
+    """Return zeros (rows, width) whose first byte starts a cache line."""
     size = rows * width * np.dtype(dtype).itemsize
     room = np.zeros(size + CACHE_LINE, dtype=np.uint8)
     first = -room.ctypes.data % CACHE_LINE
@@ -97,8 +98,9 @@ def aligned(rows: int, width: int, dtype: type[np.generic] = np.float64) -> NDAr
 
 
 def width_for(lanes: int, *, written_out: bool = False) -> int:
-    """Of a tile of so many lanes. What is compiled for one network alone has any number of whole
-    vectors.
+    """Return the width of a tile with this many lanes: the next of WIDTHS.
+
+    Code compiled for one network (`written_out`) takes any multiple of VECTOR.
     """
     if written_out:
         return -(-lanes // VECTOR) * VECTOR
@@ -107,9 +109,9 @@ def width_for(lanes: int, *, written_out: bool = False) -> int:
 
 @dataclass(frozen=True)
 class Layout:
-    """The rows of a network of the given topology, and the table that compiled code reads.
+    """The rows of a network of this topology, and the table that compiled code reads.
 
-    `where` gives the rows of each section, in the order of the section.
+    `where` maps the name of a section to its rows.
     """
 
     topology: Topology
@@ -147,7 +149,7 @@ class Layout:
 
     @property
     def draws(self) -> int:
-        """How many random numbers a step takes: one for each neuron, rounded up to whole blocks."""
+        """Random numbers of a step: one per neuron, rounded up to a multiple of BLOCK."""
         return -(-self.topology.neurons // BLOCK) * BLOCK
 
     @property
@@ -164,24 +166,25 @@ class Layout:
 
     @property
     def packed_rows(self) -> int:
-        """All rows of a keyframe."""
+        """Number of rows of a keyframe."""
         return int(self.packed[SECTIONS[-1]].stop)
 
     def pack(self, state: Array, absent: Mapping[str, Array]) -> Array:
-        """All SECTIONS in their order, float64: what a keyframe holds. `absent` are those of
-        ABSENT.
+        """Return the rows of a keyframe: all SECTIONS in order, float64.
+
+        `absent` holds the sections of ABSENT.
         """
         parts = [absent[name] if name in ABSENT else self.section(state, name) for name in SECTIONS]
         return np.concatenate(parts, dtype=np.float64)
 
     def unpack(self, packed: Array, state: Array) -> None:
-        """Put the SECTIONS that a state holds into one that is there."""
+        """Copy the rows of a keyframe into an existing state."""
         for name, rows in self.packed.items():
             if name not in ABSENT:
                 self.put(state, name, packed[rows])
 
     def section(self, state: Array, name: str) -> Array:
-        """A copy of one section, shape (its rows, lanes)."""
+        """Return a copy of one section, (its rows, lanes)."""
         return state[self.where[name]]
 
     def put(self, state: Array, name: str, values: Array | float) -> None:
@@ -189,7 +192,7 @@ class Layout:
         state[self.where[name]] = values
 
     def empty_state(self, width: int, dtype: type[np.floating] = np.float64) -> Array:
-        """A network at rest: silent neurons, zero weights and traces, nothing clamped."""
+        """Return a network at rest: silent neurons, zero weights and traces, no clamps."""
         state = aligned(self.rows, width, dtype)
         state[self.where["activity"][self.topology.inputs :]] = self.topology.activity[0]
         self.put(state, "clamp", np.nan)

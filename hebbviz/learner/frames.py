@@ -1,7 +1,7 @@
-"""What leaves a learner: immutable pictures of a moment, and what happened in between.
+"""Output of a learner: immutable snapshots, and records of the steps between them.
 
-A `Frame` is the only thing a view sees. A `Block` is every step of a stretch, for a recorder or a
-raster. A `Keyframe` is a moment from which a run can be made again. All own their arrays.
+Views see only a `Frame`. A `Block` holds every step of an interval, for a recorder or a raster. A
+run can be recomputed from a `Keyframe`. All own their arrays.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ Array = NDArray[np.float64]
 class Keyframe:
     """A learner's whole state at a step: network (rows, lanes) and world (numbers, lanes).
 
-    `gamma` (projections, lanes) is γ as it is set, `fall` the steps over which it falls (infinity:
-    it stays); `memory` (its rows, lanes) is what the `rule` keeps.
+    `gamma` (projections, lanes) is γ as set, `fall` its decay time in steps (infinite for no
+    decay); `memory` (its rows, lanes) is the memory of the `rule`.
     """
 
     step: int
@@ -46,8 +46,8 @@ class Keyframe:
     def check_fit(
         self, layout: Layout, world: tuple[int, ...], dtype: type[np.floating[Any]]
     ) -> None:
-        """Raise ValueError unless a network of this layout and `dtype`, in a world of this shape
-        (numbers, lanes), can be in such a moment.
+        """Raise ValueError unless this is a valid state of a network with this layout and `dtype`
+        in a world of shape (numbers, lanes).
         """
         lanes = world[-1]
         for what, array, shape in (
@@ -69,7 +69,7 @@ class Keyframe:
                 check_beta(float(extreme))
 
     def lane(self, lane: int) -> Keyframe:
-        """One of the lanes alone: the last axis of every array is the lane."""
+        """Return a keyframe of one lane; the lane is the last axis of every array."""
         alone: dict[str, Any] = {
             name: value[..., lane : lane + 1].copy()
             for name, value in vars(self).items()
@@ -78,10 +78,10 @@ class Keyframe:
         return replace(self, **alone)
 
     def digest(self) -> str:
-        """SHA-256 of all of it, bit for bit, as 64 hexadecimal digits."""
+        """Return the SHA-256 of the whole keyframe as 64 hexadecimal digits."""
         said = f"{self.step} {self.frozen}"
         arrays = [self.network, self.world, self.gamma]
-        if (self.rule, self.fall) != (PAPER, math.inf):  # which the first recordings do not name
+        if (self.rule, self.fall) != (PAPER, math.inf):  # the first recordings do not have these
             said += f" {self.rule} {self.fall!r}"
             arrays.append(self.memory)
         digest = hashlib.sha256(said.encode())
@@ -114,17 +114,19 @@ class Block:
         return self.start + len(self.fired)
 
     def events(self, rule: Rule) -> Array:
-        """What to look for rewards in, (n,): what was sent; of other rules than the paper's, which
-        may send something at every step, what the task gave.
+        """Return the rewards among which to look for events, (n,).
+
+        For the paper's rule these are the broadcast ones. Other rules may broadcast something at
+        every step, so for them these are the task's.
         """
         return self.broadcast if rule == PAPER else self.reward
 
     def tail(self, steps: int) -> Block:
-        """The last `steps` steps, or all if there are fewer."""
+        """Return the last `steps` steps, or all if there are fewer."""
         return self.part(max(self.start, self.end - steps), self.end)
 
     def part(self, first: int, end: int) -> Block:
-        """Those of its steps that are from `first` on and before `end`."""
+        """Return the steps from `first` to before `end`."""
         cut = slice(max(0, first - self.start), max(0, end - self.start))
         start = min(max(first, self.start), self.end)
         return Block(start, **{name: getattr(self, name)[cut] for name in _BLOCK_ARRAYS})
@@ -134,9 +136,9 @@ _BLOCK_ARRAYS = ("fired", "reward", "broadcast", "ended", "potential", "world")
 
 
 def join(blocks: Sequence[Block]) -> Block:
-    """Blocks that follow on one another as one; raises ValueError if they do not.
+    """Join consecutive blocks; raise ValueError if they are not consecutive.
 
-    It is seen closely if all of them are.
+    The result has potentials and world states if all blocks have them.
     """
     for before, after in pairwise(blocks):
         if before.end != after.start:
@@ -149,11 +151,12 @@ def join(blocks: Sequence[Block]) -> Block:
 
 @dataclass(frozen=True)
 class Summary:
-    """Over every step since the Frame before: nothing in it is sampled.
+    """Sums over every step since the previous Frame; none of it is sampled.
 
-    `spikes` (neurons,) counts; `potential_range` (2, neurons) least and greatest v;
-    `probe_range` (2, probes) least and greatest z of the probed synapses; `weight_change`
-    (synapses,) is Σ γ m z, m the reward as broadcast; `tally` the rewards and ends of these steps.
+    `spikes` (neurons,) counts spikes; `potential_range` (2, neurons) is the minimum and maximum of
+    v; `probe_range` (2, probes) is the minimum and maximum of z of the probed synapses;
+    `weight_change` (synapses,) is Σ γ m z, with m the broadcast reward; `tally` holds the rewards
+    and ended episodes of these steps.
     """
 
     steps: int
@@ -167,13 +170,13 @@ class Summary:
 
 @dataclass(frozen=True)
 class Frame:
-    """The watched lane at the end of a step, and a summary of all steps since the Frame before.
+    """The watched lane at the end of a step, and a summary of all steps since the previous Frame.
 
-    `activity` and `before` (units,) are u of this step and of the one before, `potential`,
-    `probability`, `draw`, `fired` (neurons,), `weight`, `trace` (synapses,), `beta` and
-    `gamma` (projections,; the γ in force, 0 while frozen), `step_size` γ as it is set, `fall` the
-    steps over which it falls, `memory` what the rule keeps, `world` the task's state, `reward`
-    the last step's (of the task, as broadcast), `tally` since the start.
+    `activity` and `before` (units,) are u of this step and of the previous one; `potential`,
+    `probability`, `draw` and `fired` have shape (neurons,), `weight` and `trace` (synapses,),
+    `beta` and `gamma` (projections,). `gamma` is γ in force, 0 while frozen; `step_size` is γ as
+    set, `fall` its decay time in steps. `memory` is the rule's memory, `world` the task's state,
+    `reward` the last step's (task, broadcast), and `tally` the totals since the start.
     """
 
     step: int

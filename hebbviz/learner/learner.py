@@ -1,8 +1,8 @@
-"""A network, a task and the rule in closed loop. It knows no clock, no queue and no screen.
+"""A learner: network, task and rule in closed loop, independent of clocks, queues and screens.
 
-The trajectory is a pure function of task, topology, parameters and seed, and of the commands given
+The trajectory is a pure function of task, topology, parameters and seed, and of the commands
 (`set_beta`, `set_gamma`, `set_fall`, `set_rule`, `set_weights`, `freeze`, `give_reward`, `press`,
-`place`, `advance` with a reward) with the steps they were given at.
+`place`, `advance` with a reward) and the steps at which they were given.
 """
 
 from __future__ import annotations
@@ -40,40 +40,42 @@ from hebbviz.topology import Topology
 Array = NDArray[np.float64]
 
 EVALUATION_STEP = 2**40
-"""Frozen copies count their steps from here, so that they draw other numbers than the learner."""
+"""First step of frozen copies, so that they draw other random numbers than the learner."""
 
 
 class TaskError(Exception):
-    """A task or a rule raised or broke its contract in mid-run. The learner is at the step before;
-    where the task is compiled, at the step it was at before the call.
+    """A task or a rule raised or broke its contract during a run.
+
+    The learner is at the step before the failure, or for a compiled task at that before the call.
     """
 
 
 class Learner:
-    """Lanes of one network learning one task; `watch` is the lane that Frames and Blocks show.
+    """Lanes of a network that learn a task; `watch` is the lane that Frames and Blocks show.
 
     Parameters
     ----------
     task : the world, at its preset; `beta`, `gamma`, `rule` and `fall` default to the preset's.
-    hidden : sizes of the hidden layers, or `topology` for anything else; default the task's own.
-    rule : what the reward is made into before it is sent to the synapses.
-    fall : T in steps, γ in force at step t being γ T/(T + t); infinity for a γ that stays.
-    dtype : of weights, traces and potentials: float64, or float32 for more lanes a second. Worlds,
-        rewards and totals are float64 in both.
-    written_out : whether `skip` is to run what is compiled for this network alone. The run is the
-        same; if the network is small a step takes less time, a third less in 64 lanes of sonar in
-        float32, once a quarter of a minute has been spent on compiling. For long runs of many
-        lanes of a compiled task.
-    seed : 0 to 2³² - 1, of all lanes.
-    lanes, first_lane : how many runs side by side, from which number on. Lane k of a seed is the
-        same run whatever lanes are beside it (unless the rule lets lanes touch each other).
+    hidden : sizes of the hidden layers, by default the preset's or the task's.
+    topology : a network of any other shape, in place of `hidden`.
+    rule : computes the broadcast reward from the task's reward.
+    fall : decay time T of the step size, in steps: at step t, γ T/(T + t) is in force; infinite
+        for a constant γ.
+    dtype : type of weights, traces and potentials: float64, or float32 for higher speed. Worlds,
+        rewards and totals are float64 in both cases.
+    written_out : `skip` runs code compiled for this network alone. The run is the same. For small
+        networks a step takes less time (a third less in 64 lanes of sonar in float32), but
+        compiling takes about 15 s. Use it for long runs of many lanes of a compiled task.
+    seed : 0 to 2³² - 1, common to all lanes.
+    lanes, first_lane : number of parallel runs, and the number of the first. Lane k of a seed is
+        the same run whatever the other lanes are, unless the rule couples lanes.
 
     Raises
     ------
     ValueError
-        For a parameter out of range; the message names it, its bound and the value.
+        If a parameter is out of range; the message gives its name, its bounds and the value.
     TaskError
-        If the task raises or returns what its contract does not allow.
+        If the task raises or breaks its contract.
     """
 
     def __init__(
@@ -157,17 +159,17 @@ class Learner:
             frozen=self._frozen,
         )
 
-    # Moving on
+    # Running
 
     def advance(self, steps: int, *, closely: bool = False, reward: Array | None = None) -> Block:
-        """Run `steps` steps and return what happened in each of them, in the watched lane.
+        """Run `steps` steps and return the record of each of them in the watched lane.
 
-        `closely`: potentials and the world's state of every step too. `reward` (steps,): sent to
-        every synapse in place of what the rule makes of the task's reward, for controls and
-        comparisons; what is given by hand (`give_reward`) is added to it, as always.
+        `closely` also records the potentials and the world's state of every step. `reward`
+        (steps,) is broadcast in place of the rule's result, for controls and comparisons; manual
+        reward (`give_reward`) is still added.
 
         Raises TaskError if the task fails; the learner is then at the end of the last good step,
-        of a compiled task where it was before.
+        or for a compiled task where it was before the call.
         """
         start = self.step
         numbers = len(self._world.state(self.watch)) if closely else None
@@ -182,14 +184,17 @@ class Learner:
         )
 
     def skip(self, steps: int) -> None:
-        """`advance` without notes: the same run, faster. The next Frame sums up from its end."""
+        """Run `steps` steps without a record: the same run as `advance`, faster.
+
+        The next Frame's summary starts at the end of these steps.
+        """
         try:
             self._run(check_steps(steps), NOBODY, Notes.of(0, 0, None), np.zeros(0))
         finally:
             self._new_summary()
 
     def skip_tallied(self, steps: int) -> list[Tally]:
-        """`skip`, and the totals of each lane over these steps."""
+        """Run `skip` and return the totals of each lane over these steps."""
         before = self.tallies()
         self.skip(steps)
         return [now - then for now, then in zip(self.tallies(), before, strict=True)]
@@ -201,26 +206,28 @@ class Learner:
     # Commands: each takes effect before the next step
 
     def set_beta(self, beta: float) -> None:
-        """How long the traces remember: z fades by β each step. Resets nothing."""
+        """Set β, by which z decays each step. The traces are not reset."""
         self._tiles.put("beta", check_beta(beta))
 
     def set_gamma(self, gamma: float) -> None:
-        """The step size γ. While learning is frozen it is only remembered."""
+        """Set the step size γ. While learning is frozen it is stored but not in force."""
         self._gamma[:] = check_gamma(gamma)
         self._put_gamma()
 
     def set_fall(self, fall: float) -> None:
-        """Let γ fall over T steps: in force at step t is γ/(1 + t/T), with t counted from the
-        start of the run and rounded down to a multiple of FALL_EVERY. Infinity: γ stays.
+        """Set the decay time T of the step size, in steps; infinity keeps γ constant.
+
+        At step t, γ/(1 + t/T) is in force, with t counted from the start of the run and rounded
+        down to a multiple of FALL_EVERY.
         """
         self._fall = check_fall(fall)
         self._put_gamma()
 
     def set_rule(self, rule: Rule) -> None:
-        """Go on with another rule, or other parameters of it, its memory empty.
+        """Continue with another rule, or with other parameters, and an empty memory.
 
-        Raises ValueError if it needs more or fewer lanes, or cannot be compiled; nothing has
-        happened then.
+        Raises ValueError if the rule does not fit the number of lanes or cannot be compiled; then
+        nothing changes.
         """
         rule.check_lanes(self.lanes)
         for tile, _ in self._tiles:
@@ -228,16 +235,16 @@ class Learner:
         self._rule = rule
 
     def freeze(self, frozen: bool) -> None:
-        """Stop the weights (γ in force 0) or let them go again; traces go on either way."""
+        """Stop or resume learning: while frozen, γ in force is 0. Traces continue either way."""
         self._frozen = bool(frozen)
         self._put_gamma()
 
     def give_reward(self, reward: float) -> None:
-        """Add to the reward of the next step, on top of what the task gives."""
+        """Add manual reward to the broadcast reward of the next step."""
         self._tiles.put("by_hand", self._tiles.read("by_hand") + check_reward(reward))
 
     def press(self, control: str) -> None:
-        """Press one of the task's own buttons; raises ValueError for an unknown one."""
+        """Press one of the task's buttons; raise ValueError for an unknown one."""
         known = [c.name for c in self.task.controls]
         if control not in known:
             raise ValueError(f"task {self.task.name!r} has no control {control!r}; it has {known}")
@@ -245,26 +252,26 @@ class Learner:
             self._world.press(control)
 
     def place(self, world: Array) -> None:
-        """Put the world into another state, (numbers, lanes); the network sees its input next.
+        """Move the world to another state, (numbers, lanes), and show it to the network.
 
-        Raises TaskError if the task cannot be in that state; nothing has happened then.
+        Raises TaskError if the task rejects the state; then nothing changes.
         """
         with _blamed(self.task):
             self._world.place(world)
 
     def look_at(self, lane: int) -> None:
-        """Choose the lane that Blocks and Frames show; the next Frame sums up from now."""
+        """Choose the lane that Blocks and Frames show; the next Frame's summary starts now."""
         self.watch = check_lane(lane, self.lanes)
         self._new_summary()
 
     def probe(self, synapses: Sequence[int]) -> None:
-        """Choose the synapses whose least and greatest z Summaries tell, from the next one on."""
+        """Choose the synapses whose range of z Summaries report, starting with the next one."""
         for synapse in synapses:
             if not 0 <= synapse < self.topology.synapses:
                 raise ValueError(f"synapse must be below {self.topology.synapses}, got {synapse}")
         self.probes = tuple(synapses)
 
-    # What it knows
+    # State
 
     @property
     def step(self) -> int:
@@ -279,7 +286,7 @@ class Learner:
 
     @property
     def gamma(self) -> float:
-        """The step size that is set, in force unless it falls or learning is `frozen`."""
+        """The step size as set; in force unless it decays or learning is `frozen`."""
         return float(self._gamma.flat[0])
 
     @property
@@ -290,7 +297,7 @@ class Learner:
 
     @property
     def fall(self) -> float:
-        """The steps over which γ falls, infinity if it stays."""
+        """The decay time of the step size in steps, infinite if γ is constant."""
         return self._fall
 
     @property
@@ -300,7 +307,7 @@ class Learner:
 
     @property
     def memory(self) -> Array:
-        """What the rule keeps, (rows of its memory, lanes)."""
+        """The rule's memory, (its rows, lanes)."""
         return self._tiles.joined(lambda tile: tile.memory)
 
     @property
@@ -310,7 +317,7 @@ class Learner:
 
     @property
     def nbytes(self) -> int:
-        """Of a keyframe's network."""
+        """Size of a keyframe's network in bytes."""
         return 8 * self.layout.packed_rows * self.lanes
 
     @property
@@ -349,16 +356,16 @@ class Learner:
         return self._tiles.joined(lambda tile: tile.totals[:, : tile.lanes])
 
     def tally(self, lane: int | None = None) -> Tally:
-        """Totals since the start, of one lane (default the watched one)."""
+        """Return the totals since the start of one lane, by default the watched one."""
         tile, k = self._tiles.place_of(self.watch if lane is None else lane)
         return Tally(self.step, *(float(x) for x in tile.totals[:, k]))
 
     def tallies(self) -> list[Tally]:
-        """Totals since the start, of each lane."""
+        """Return the totals since the start of each lane."""
         return [self.tally(lane) for lane in range(self.lanes)]
 
     def set_weights(self, weights: Array) -> None:
-        """Put (synapses, lanes) weights in place of the present ones; traces stay."""
+        """Replace the weights by `weights` (synapses, lanes); traces stay."""
         if weights.shape != (self.topology.synapses, self.lanes):
             raise ValueError(
                 f"weights must have shape ({self.topology.synapses}, {self.lanes}), "
@@ -368,13 +375,13 @@ class Learner:
             tile.set_synapses(weights[:, lanes], tile.synapses()[1])
 
     def frame(self) -> Frame:
-        """The watched lane now, and the summary since the last call."""
+        """Return the watched lane's present state and the summary since the last call."""
         frame = self.glance()
         self._new_summary()
         return frame
 
     def glance(self) -> Frame:
-        """`frame`, and the next one sums up from where it would have."""
+        """Return the same as `frame` without starting a new summary."""
         tile, lane = self._tiles.place_of(self.watch)
         weight, trace = tile.synapses_of(lane)
         tally = self.tally()
@@ -402,20 +409,20 @@ class Learner:
             **{name: rows[:neurons, lane] for name, rows in tile.spikes().items()},
         )  # fmt: skip
 
-    # Going back, and copies
+    # Keyframes and copies
 
     def keyframe(self) -> Keyframe:
-        """This moment, from which the run can be made again."""
+        """Return the present state, from which the run can be recomputed."""
         return Keyframe(
             self.step, self.network, self.world, self._gamma.copy(), self._frozen, self._rule,
             self.memory, self._fall,
         )  # fmt: skip
 
     def restore(self, keyframe: Keyframe) -> None:
-        """Go to a moment of this learner, or of one of the same task and topology, with its rule.
+        """Return to a keyframe of this learner, or of another one of the same task and topology.
 
-        Raises ValueError if the keyframe's arrays do not fit, the world cannot be in its state, or
-        a number is out of range; nothing has happened then.
+        The keyframe's rule is restored too. Raises ValueError if its arrays do not fit, the task
+        rejects its state, or a number is out of range; then nothing changes.
         """
         keyframe.check_fit(self.layout, self.world.shape, self.dtype)
         self.task.check_states(keyframe.world.T)
@@ -431,17 +438,14 @@ class Learner:
         self._new_summary()
 
     def twin(self, task: Task | None = None) -> Learner:
-        """A second learner of the same making, at its start, with this one's lanes and seed.
-
-        It shows the same lane.
-        """
+        """Return a new learner with the same settings, seed, lanes and watched lane, at step 0."""
         settings = replace(self.settings, frozen=False)
         twin = Learner.of(self.task if task is None else task, settings)
         twin.look_at(self.watch)
         return twin
 
     def frozen_copy(self, task: Task | None = None) -> Learner:
-        """These weights, learning switched off, at the start of a run of their own."""
+        """Return a learner with these weights and learning frozen, at the start of its own run."""
         copy = self.twin(task)
         copy.set_weights(self.weights)
         copy.freeze(True)
@@ -449,10 +453,10 @@ class Learner:
         copy._new_summary()  # noqa: SLF001
         return copy
 
-    # Inside
+    # Internals
 
     def _first_weights(self) -> Array:
-        """(synapses, lanes)."""
+        """Return the task's initial weights, (synapses, lanes)."""
         weights = np.empty((self.topology.synapses, self.lanes))
         for lane in range(self.lanes):
             draws = uniforms(
@@ -464,7 +468,7 @@ class Learner:
         return weights
 
     def _put_gamma(self) -> None:
-        """Put γ in force, as it is at this step."""
+        """Set γ in force for the present step."""
         gamma = np.zeros_like(self._gamma) if self._frozen else self._gamma
         for tile, lanes in self._tiles:
             tile.put_gamma(gamma[:, lanes], self.step, self._fall)
@@ -477,7 +481,7 @@ class Learner:
 
 @contextmanager
 def _blamed(task: Task) -> Iterator[None]:
-    """Whatever is raised here is the task's failure, or the rule's."""
+    """Turn exceptions in this context into TaskError of the task or the rule."""
     try:
         yield
     except RuleError as error:

@@ -1,7 +1,7 @@
-"""Long calls cut into pieces of a fraction of a second, for signals to act and progress to show.
+"""Pieces: long calls are cut to a fraction of a second, for signals and progress reports.
 
-Compiled code cannot be interrupted. A run does not depend on where it is cut, so between two pieces
-Python may look around: Ctrl-C raises there, and whoever waits can be told how far it is.
+Compiled code cannot be interrupted. A run does not depend on where it is cut, so Python takes over
+between two pieces: Ctrl-C raises there, and callers receive the progress.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ AIM_SECONDS = 0.25
 """A piece takes about as long as this, at most twice."""
 
 Between = Callable[[int, int], object]
-"""Told how many steps of a call are made, and of how many. What it raises ends the call."""
+"""Receives the number of completed steps and that of all steps; an exception ends the call."""
 
 _between: ContextVar[Between | None] = ContextVar("between", default=None)
 
 
 class Stopped(BaseException):
-    """A call was no longer wanted. No error: a task that forgives all of its own lets it pass."""
+    """The caller ended the call. Not an Exception: a task that catches those lets it pass."""
 
 
 @contextlib.contextmanager
 def between_pieces(call: Between) -> Iterator[None]:
-    """Have `call` called between the pieces of all runs of learners in here, in this thread."""
+    """Call `call` between the pieces of all learner runs in this context and thread."""
     token = _between.set(call)
     try:
         yield
@@ -35,7 +35,7 @@ def between_pieces(call: Between) -> Iterator[None]:
 
 
 def stop_when(is_over: Callable[[], bool]) -> contextlib.AbstractContextManager[None]:
-    """End what runs in here, by Stopped, soon after `is_over` says so."""
+    """End runs in this context with Stopped, soon after `is_over` returns True."""
 
     def look(_: int, __: int) -> None:
         if is_over():
@@ -45,21 +45,22 @@ def stop_when(is_over: Callable[[], bool]) -> contextlib.AbstractContextManager[
 
 
 def tell(made: int, steps: int) -> None:
-    """So many steps of a call are made, of so many."""
+    """Report that `made` of `steps` steps of a call are complete."""
     call = _between.get()
     if call is not None:
         call(made, steps)
 
 
 class Pieces:
-    """Cuts calls by how long the piece before took; the very first piece is one step."""
+    """Chooses the size of each piece from the duration of the last; the first piece is one step."""
 
     def __init__(self) -> None:
         self._size = 1
 
     def of(self, steps: int) -> Iterator[slice]:
-        """Which of the steps come next, for a caller that runs each piece before it takes the next;
-        what a `between_pieces` raises is raised here.
+        """Yield slices of the steps; the caller runs each before it takes the next.
+
+        Exceptions of a `between_pieces` callback are raised here.
         """
         made = 0
         while made < steps:

@@ -1,7 +1,7 @@
-"""Learners on disk: an npz with no pickle in it, a format version, and everything a run needs.
+"""Saved learners: an npz without pickle, with a format version and everything that a run needs.
 
-A saved learner continues exactly. Written under a temporary name and then renamed, so that a file
-of the final name is always whole.
+A loaded learner continues exactly. Files are written under a temporary name and then renamed, so a
+file of the final name is always complete.
 """
 
 from __future__ import annotations
@@ -28,31 +28,31 @@ from hebbviz.task.base import Task
 from hebbviz.topology import Topology
 
 FORMAT = 2
-"""1, as the first versions wrote and read it, for the paper's rule with a γ that stays; 2 says
-the rule, and the steps over which γ falls.
+"""Format 1 is that of the first versions, for the paper's rule and a constant γ; format 2 adds the
+rule and the step-size decay time.
 """
 PROGRAM = "hebbviz learner"
 WHAT = "learner saved by hebbviz"
 
 _ARRAYS = ("network", "world", "gamma")
 _MEMORY = "memory"
-"""An array more, of a rule that keeps something."""
+"""One more array, for a rule with a memory."""
 
 
 _KINDS = {
     "task": str, "preset": str, "seed": int, "lanes": int, "first_lane": int, "step": int,
     "frozen": bool, "dtype": str,
 }  # fmt: skip
-"""What is said of a learner in plain values; their bounds are the learner's to check."""
+"""Types of the header's plain values; `Learner` checks their bounds."""
 
 
 class BadFile(ValueError):
-    """A file that is no learner, is damaged, or is of a newer format; the message says which."""
+    """The file is not a learner, is damaged, or has a newer format; the message says which."""
 
 
 @dataclass(frozen=True)
 class Header:
-    """What a file says of its learner besides the arrays."""
+    """The header of a saved learner: everything except the arrays."""
 
     task: str
     preset: str
@@ -68,10 +68,10 @@ class Header:
 
 
 def save(learner: Learner, path: str | Path, *, task_name: str | None = None) -> Path:
-    """Write a learner to `path` (.npz is added if missing); returns the path written.
+    """Write a learner to `path` (.npz is added if missing) and return the path written.
 
-    `task_name` is what the user called the task, where that is not its own name. Raises OSError
-    if the file cannot be written; an older file of that name is then as it was.
+    `task_name` is the user's spec of the task, if it differs from the task's name. Raises OSError
+    if the file cannot be written; an older file of that name then stays unchanged.
     """
     target = Path(path) if str(path).endswith(".npz") else Path(f"{path}.npz")
     keyframe = learner.keyframe()
@@ -100,8 +100,8 @@ def save(learner: Learner, path: str | Path, *, task_name: str | None = None) ->
 def load(path: str | Path, make_task: Callable[[str, str], Task]) -> Learner:
     """Read a learner; `make_task(name, preset)` makes the task that the file names.
 
-    Raises BadFile, with one line, for anything that is not a whole learner of this format or
-    an older one, and OSError if the file cannot be read.
+    Raises BadFile, with a one-line message, unless the file is a complete learner of this format
+    or an older one, and OSError if it cannot be read.
     """
     header, arrays = _read(Path(path))
     task = make_task(header.task, header.preset)
@@ -121,9 +121,9 @@ def load(path: str | Path, make_task: Callable[[str, str], Task]) -> Learner:
 
 
 def write_arrays(path: Path, header: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
-    """Write an npz of arrays and a header that JSON can say, under a temporary name, then renamed.
+    """Write an npz of arrays and a JSON header under a temporary name, then rename it.
 
-    Raises OSError if the file cannot be written; an older file of that name is then as it was.
+    Raises OSError if the file cannot be written; an older file of that name then stays unchanged.
     """
     part = path.with_name(f".{path.name}.{uuid.uuid4().hex}.part")
     try:
@@ -141,10 +141,11 @@ def read_arrays(
     path: Path, program: str, newest: int, *, what: str,
     names: Callable[[dict[str, Any]], Iterable[str]],
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:  # fmt: skip
-    """Header and arrays of a file that `write_arrays` wrote for `program`, of format `newest` or
-    an older one; `what` it is, for the message, and by its header the `names` of those to read.
+    """Read header and arrays of a file that `write_arrays` wrote for `program`.
 
-    Raises BadFile, with one line, for any other file and for a damaged one, and OSError.
+    Its format must be `newest` or older. `what` describes the file in messages; `names` gives the
+    arrays to read, from the header. Raises BadFile, with a one-line message, for any other or a
+    damaged file, and OSError.
     """
     try:
         with npz.opened(path) as file:
@@ -165,13 +166,13 @@ def _read(path: Path) -> tuple[Header, dict[str, Any]]:
     if any(a.ndim != 2 or a.shape[1] != header.lanes for a in found.values()):
         raise BadFile(f"{path} is damaged: an array has a wrong shape")
     if not header.topology.fits_in(len(found["network"])):
-        raise BadFile(f"{path} is damaged: it holds less than its network")
+        raise BadFile(f"{path} is damaged: its arrays are too small for its network")
     arrays = {name: array.astype(np.float64) for name, array in found.items()}
     return header, {_MEMORY: np.zeros((0, header.lanes))} | arrays
 
 
 def _names(rule: Rule) -> tuple[str, ...]:
-    """The arrays of a learner with this rule."""
+    """Return the names of the arrays of a learner with this rule."""
     return (*_ARRAYS, _MEMORY) if rule.memory else _ARRAYS
 
 
@@ -180,7 +181,7 @@ def _check_origin(path: Path, header: Any, program: str, newest: int, what: str)
         raise BadFile(f"{path} is not a {what}")
     if not isinstance(header.get("format"), int) or header["format"] > newest:
         raise BadFile(
-            f"{path} is of format {header.get('format')!r}, newer than this hebbviz knows "
+            f"{path} has format {header.get('format')!r}, newer than this hebbviz knows "
             f"({newest}): update hebbviz"
         )
 

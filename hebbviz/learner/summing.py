@@ -17,10 +17,10 @@ Array = NDArray[np.float64]
 
 
 class Summing:
-    """Sums over all steps of the watched lane from a moment on.
+    """Sums over the steps of the watched lane since a given moment.
 
-    `weight` (synapses,) and `tally` are of that moment; of the synapses `probes` the least and
-    greatest z are kept.
+    `weight` (synapses,) and `tally` are the values at that moment. For the synapses `probes` the
+    minimum and maximum of z are kept.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Summing:
         self._kept = [(np.empty_like(now), now) for now in self.sums[:2]]
 
     def summary(self, weight: Array, tally: Tally) -> Summary:
-        """The steps up to now, where `weight` and `tally` are what they are now."""
+        """Return the summary of the steps until now, given the present `weight` and `tally`."""
         counts, extremes, _ = self.sums
         since = tally - self._tally
         return Summary(
@@ -54,11 +54,11 @@ class Summing:
     # Going back
 
     def keep(self) -> None:
-        """Remember this moment."""
+        """Store the present sums for `back`."""
         for kept, now in self._kept:
             np.copyto(kept, now)
 
     def back(self) -> None:
-        """As it was when it was last kept."""
+        """Return to the sums of the last `keep`."""
         for kept, now in self._kept:
             np.copyto(now, kept)

@@ -1,4 +1,4 @@
-"""The closed loop of a task with a network, in every lane: stepped by Python, or compiled."""
+"""The closed loop of a task and a network in all lanes, stepped by Python or by compiled code."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ Array = NDArray[np.float64]
 
 
 def world_of(task: Task, tiles: Tiles) -> World:
-    """The task in these lanes. It is nowhere yet: `start` it."""
+    """Make the world of a task for these lanes. It has no state until `start`."""
     return (
         CompiledWorld(task, tiles) if isinstance(task, CompiledTask) else PythonWorld(task, tiles)
     )
 
 
 class World:
-    """A task in all lanes of a network. Whatever the task raises goes through it.
+    """A task in all lanes of a network. Exceptions of the task pass through.
 
-    A state is (numbers,) of one lane. The two kinds hold them each in their way.
+    The state of a lane has shape (numbers,). The two subclasses store the states differently.
     """
 
     def __init__(self, task: Task, tiles: Tiles) -> None:
@@ -37,34 +37,35 @@ class World:
         self.step = 0
         """The number of the step that comes next."""
 
-    # What each kind does in its own way
+    # Defined by each subclass
 
     @property
     def states(self) -> Array:
-        """Of all lanes, (numbers, lanes)."""
+        """The states of all lanes, (numbers, lanes)."""
         raise NotImplementedError
 
     def state(self, lane: int) -> Array:
-        """Of one lane, (numbers,)."""
+        """Return the state of one lane, (numbers,)."""
         raise NotImplementedError
 
     def put(self, states: Sequence[Array]) -> None:
-        """Set the state of each lane; what the network sees and who is clamped stays."""
+        """Set the state of each lane; the network's inputs and clamps stay."""
         raise NotImplementedError
 
     def run(self, steps: int, *, instead: Array, watch: int, notes: Notes, since: Summing) -> None:
-        """Act and hear for so many steps.
+        """Run `steps` steps.
 
-        `instead` (steps, or 0) takes the place of what is made of the reward; `notes` and `since`
-        are of the lane `watch`, unless that is NOBODY. If a step fails, `step`, network, states and
-        sums are what they were before it or, compiled, before all of them.
+        `instead` (steps,) replaces the rule's broadcast reward unless it is empty; `notes` and
+        `since` record the lane `watch`, unless it is NOBODY. If a step fails, `step`, network,
+        states and sums return to their values before it, or for a compiled task to those before
+        the call.
         """
         raise NotImplementedError
 
-    # The same for both
+    # Common to both subclasses
 
     def start(self) -> None:
-        """The first episode of each lane."""
+        """Begin the first episode of each lane."""
         lanes = range(self._tiles.first_lane, self._tiles.first_lane + self._tiles.lanes)
         draws = [Draws(self._tiles.seed, lane, 0, FIRST_EPISODE) for lane in lanes]
         self._enter([_numbers(self._task.restart(d)) for d in draws])
@@ -76,7 +77,7 @@ class World:
         self.place(np.stack(pressed, axis=1))
 
     def place(self, states: Array) -> None:
-        """Go to other states, (numbers, lanes); the network sees its input next."""
+        """Move to other states, (numbers, lanes), and show them to the network."""
         if states.shape != self.states.shape:
             raise ValueError(
                 f"the state must keep its shape {self.states.shape}, got {states.shape}"
@@ -84,7 +85,7 @@ class World:
         self._enter([state.copy() for state in states.T])
 
     def _enter(self, states: Sequence[Array]) -> None:
-        """Be in these states, and let the network see them; if that fails nothing has happened."""
+        """Set these states and show them to the network; a failure changes nothing."""
         seen = np.stack([self._see(state) for state in states], axis=1)
         if not np.isfinite(seen).all():
             raise ValueError("an observation is not a finite number")
@@ -94,7 +95,7 @@ class World:
             tile.see(seen[:, lanes])
 
     def _see(self, state: Array) -> Array:
-        """What a state shows, (inputs,)."""
+        """Return the observation of a state, (inputs,)."""
         inputs = self._tiles.layout.topology.inputs
         seen = np.asarray(self._task.observation(state), dtype=np.float64)
         if seen.shape != (inputs,):
@@ -102,7 +103,7 @@ class World:
         return seen
 
     def _clamp(self, states: Sequence[Array]) -> None:
-        """Make neurons fire or not at the next step, where the task wants it."""
+        """Set the task's clamps for the next step."""
         if type(self._task).clamps is Task.clamps:
             return
         neurons = self._tiles.layout.topology.neurons
@@ -118,7 +119,7 @@ class World:
 
 
 class PythonWorld(World):
-    """A task whose methods are called at each step; each step stands or falls alone."""
+    """A task whose methods are called at each step. A failed step is undone alone."""
 
     _states: list[Array]
 
@@ -152,8 +153,10 @@ class PythonWorld(World):
             tell(row + 1, steps)
 
     def _act(self) -> tuple[list[Array], list[Array]]:
-        """Let the network act and hear what comes of it; returns the states that are reached, and
-        those that are next: new episodes where one ended.
+        """Step the network and the task once.
+
+        Returns the states that were reached, and the next ones: the same, or the first of a new
+        episode where one ended.
         """
         reached: list[Array] = []
         states: list[Array] = []
@@ -168,7 +171,7 @@ class PythonWorld(World):
         return reached, states
 
     def _answer(self, tile: Tile, k: int, before: Array, action: Array) -> Array:
-        """What comes after `before` in lane k of a tile; the tile is told reward and end."""
+        """Return the state after `before` in lane k of a tile; set the tile's reward and end."""
         draws = Draws(self._tiles.seed, tile.first_lane + k, self.step)
         state = _kept_shape(self._task.transition(before.copy(), action, draws), before)
         tile.reward[k] = _number(self._task.reward(state))
@@ -176,7 +179,7 @@ class PythonWorld(World):
         return state
 
     def _following(self, tile: Tile, k: int, state: Array) -> Array:
-        """The state itself, or the beginning of the next episode."""
+        """Return the state, or the first one of the next episode if this one ended."""
         if not tile.ended[k]:
             return state
         draws = Draws(self._tiles.seed, tile.first_lane + k, self.step, NEXT_EPISODE)
@@ -184,7 +187,7 @@ class PythonWorld(World):
 
 
 class CompiledWorld(World):
-    """A task that the engine calls, its states in the tiles; all steps stand or fall together."""
+    """A compiled task that the engine calls; the tiles hold its states. A failed call is undone."""
 
     def __init__(self, task: CompiledTask, tiles: Tiles) -> None:
         super().__init__(task, tiles)
@@ -219,7 +222,7 @@ class CompiledWorld(World):
         self.step += steps
 
     def _run(self, piece: slice, instead: Array, watch: int, notes: Notes, since: Summing) -> None:
-        """Some of the steps that are asked for."""
+        """Run the steps of one piece."""
         for tile, lane in self._tiles.watched(watch):
             tile.run(
                 piece.stop - piece.start, self.step + piece.start, self._answer, self._data,
@@ -227,9 +230,9 @@ class CompiledWorld(World):
             )  # fmt: skip
 
     def _note_ends(self, before: Array, watch: int, notes: Notes) -> None:
-        """Note the state that ended an episode, in place of the new one that compiled code left.
+        """Note the state that ended an episode; compiled code left the first of the next one.
 
-        It is what the task's methods say of the same step, as they do to the bit.
+        The task's methods recompute it; they agree with compiled code to the bit.
         """
         topology = self._tiles.layout.topology
         actions = np.array(topology.activity)[notes.fired[:, topology.neurons_of(topology.output)]]
@@ -240,11 +243,11 @@ class CompiledWorld(World):
 
 
 def check_fit(task: Task, topology: Topology) -> None:
-    """Raise ValueError unless the task can be acted in through this network."""
+    """Raise ValueError unless the network's inputs and outputs fit the task."""
     if isinstance(task, CompiledTask) and type(task).clamps is not Task.clamps:
         raise ValueError(
-            f"task {task.name!r} is compiled, so its clamps are not asked for at each "
-            "step: leave them out, or make it a Task"
+            f"task {task.name!r} is compiled, so its clamps would never be called: leave them "
+            "out, or make it a Task"
         )
     inputs, outputs = len(task.inputs), len(task.outputs)
     if topology.inputs != inputs:
@@ -259,13 +262,13 @@ def check_fit(task: Task, topology: Topology) -> None:
 
 def _number(reward: object) -> float:
     try:
-        return float(reward)  # type: ignore[arg-type]  # what is none is told
+        return float(reward)  # type: ignore[arg-type]  # the error says what is wrong
     except (TypeError, ValueError) as error:
         raise TypeError(f"reward must return a number, got {reward!r:.60}") from error
 
 
 def _kept_shape(state: Array, before: Array) -> Array:
-    """The numbers of a state that comes after another one."""
+    """Return a state as numbers; raise ValueError if its shape differs from `before`."""
     state = _numbers(state)
     if state.shape != before.shape:
         raise ValueError(f"the state must keep its shape {before.shape}, got {state.shape}")
@@ -273,5 +276,5 @@ def _kept_shape(state: Array, before: Array) -> Array:
 
 
 def _numbers(state: Array) -> Array:
-    """What a task returned as its state, in float64 and its own array, as a save will hold it."""
+    """Copy the state that a task returned to float64, as a save will hold it."""
     return np.array(state, dtype=np.float64)

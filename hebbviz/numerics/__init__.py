@@ -1,1 +1,1 @@
-"""Compiling, random numbers and σ: what every compiled function is made with."""
+"""Compilation, random numbers and σ, which all compiled functions use."""

@@ -1,7 +1,7 @@
-"""What a compiled function is made of, so that none is taken from a cache that is made of else.
+"""The cache key of a compiled function: never reuse code compiled from other sources.
 
-numba notices a change in the file of a cached function, but not in what it takes from others: a
-function that it calls, a number that it names. Here are all of them.
+numba notices a change in the file of a cached function, but not in the functions that it calls and
+the numbers that it names in other files. The cache key covers them all.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numba.core.dispatcher import Dispatcher
 
 
 def _checksum(file: str) -> int | None:
-    """Of a text; None of what is no file."""
+    """Return the checksum of a file; None if there is no such file."""
     path = Path(file)
     return zlib.crc32(path.read_bytes()) if path.is_file() else None
 
@@ -30,15 +30,16 @@ _KERNELS = {
         "engine/layout.py", "engine/kernel.py", "engine/unrolled.py", "engine/loop.py",
     ))
 }  # fmt: skip
-"""They go together: how they call each other cannot always be seen from their functions."""
+"""Checksums of all kernel files: not all calls between them are visible in their functions."""
 
 _NUMBERS = (int, float, complex, str, tuple, np.generic)
 
 
 def stamp(function: Callable[..., Any]) -> tuple[Any, ...]:
-    """Equal for equal texts and numbers: the texts of all kernel files, of the function's own file
-    and of those of the compiled functions that it calls, and theirs; the numbers that all of these
-    take from their modules.
+    """Return the cache key of a function: checksums of its source files, and its numbers.
+
+    The files are the kernel files, the function's own file and those of all compiled functions
+    that it calls, directly or not; the numbers are those that these functions read from modules.
     """
     files, numbers = dict(_KERNELS), set()
     seen, waiting = set(), [function]
@@ -61,9 +62,9 @@ def stamp(function: Callable[..., Any]) -> tuple[Any, ...]:
 
 
 def _used(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
-    """What a function names that is not its own; of a module, what it may name in it.
+    """Yield the global names that a function uses, with their values, and those in its modules.
 
-    Numbers of a function around it are left to numba, which keeps apart what it compiles for each.
+    Numbers of an enclosing function are left out: numba already compiles separately for each.
     """
     found = inspect.getclosurevars(function)
     yield from ((n, v) for n, v in found.nonlocals.items() if isinstance(v, Dispatcher))

@@ -1,7 +1,7 @@
-"""The compiler's cache on disk: it saves time and is never needed.
+"""The compiler's cache on disk, which saves time but is never required.
 
-A file of it that is damaged is compiled again. Where none can be written, or there is no folder for
-them, what is compiled is not kept. Either is told once, in one line on stderr.
+Code in a damaged file is compiled again. If files cannot be written, or there is no folder for
+them, compiled code is not saved. Each case is reported once, in one line on stderr.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _CHECKSUM_BYTES = 4
 
 
 class _AtHome(caching.UserWideCacheLocator):
-    """Where no home is known, numba would make a folder called ~."""
+    """Rejects an unknown home folder, for which numba would make a folder called ~."""
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> Any:
@@ -39,7 +39,7 @@ class _Code(caching.CompileResultCacheImpl):
 
 
 class _Files(caching.IndexDataCacheFile):
-    """Each file ends with its checksum: damaged machine code would do anything."""
+    """Cache files that end with a checksum, because damaged machine code could do anything."""
 
     @contextlib.contextmanager
     def _open_for_write(self, filepath: str) -> Iterator[Any]:
@@ -58,7 +58,7 @@ class _Files(caching.IndexDataCacheFile):
 
 
 class _Cache(caching.FunctionCache):
-    """Of one function, bound to a stamp of all that it is made of."""
+    """The cache of one function, bound to its cache key."""
 
     _impl_class = _Code
 
@@ -69,12 +69,12 @@ class _Cache(caching.FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
             return super().load_overload(sig, target_context)
-        except Exception as error:  # whatever a damaged file makes of it
+        except Exception as error:  # a damaged file can raise anything
             _tell(
-                self.cache_path, f"is damaged ({_why(error)}): it is compiled again; if this is "
-                "said at each start, delete its files *.nbi and *.nbc",
+                self.cache_path, f"is damaged ({_why(error)}): its code is compiled again; if this "
+                "appears at each start, delete its files *.nbi and *.nbc",
             )  # fmt: skip
-            with contextlib.suppress(Exception):  # told where it is to be written next
+            with contextlib.suppress(Exception):  # the next write reports it
                 self.flush()
             return None
 
@@ -84,22 +84,22 @@ class _Cache(caching.FunctionCache):
         except Exception as error:
             _tell(
                 self.cache_path, f"cannot be written ({_why(error)}): {_NOT_KEPT}; make room "
-                "there, or name another folder by NUMBA_CACHE_DIR",
+                "there, or set NUMBA_CACHE_DIR to another folder",
             )  # fmt: skip
 
 
-_NOT_KEPT = "what is compiled is not kept, and each start takes longer"
+_NOT_KEPT = "compiled code is not saved, and each start takes longer"
 
 
 def cache_of(function: Callable[..., Any], stamp: tuple[Any, ...]) -> Any:
-    """The cache of a function; one that keeps nothing where there is no folder for it."""
+    """Return the cache of a function; without a folder for it, a cache that saves nothing."""
     try:
         return _Cache(function, stamp)
     except Exception:
         _tell(
             str(Path(inspect.getfile(function)).with_name("__pycache__")),
-            f"cannot be written, nor one in a home folder: {_NOT_KEPT}; name a folder by "
-            "NUMBA_CACHE_DIR",
+            f"cannot be written, nor one in a home folder: {_NOT_KEPT}; set NUMBA_CACHE_DIR to a "
+            "folder",
         )
         return caching.NullCache()
 
@@ -109,13 +109,13 @@ def _checksum(content: bytes) -> bytes:
 
 
 def _check(path: str) -> None:
-    """Raise ValueError unless a file, if there is one, is as it was written."""
+    """Raise ValueError if a file exists and does not match its checksum."""
     try:
         content = Path(path).read_bytes()
     except FileNotFoundError:
         return
     if _checksum(content[:-_CHECKSUM_BYTES]) != content[-_CHECKSUM_BYTES:]:
-        raise ValueError(f"{Path(path).name} is not as it was written")
+        raise ValueError(f"{Path(path).name} does not match its checksum")
 
 
 def _why(error: Exception) -> str:
@@ -123,7 +123,7 @@ def _why(error: Exception) -> str:
 
 
 def _tell(folder: str, what: str) -> None:
-    """Once for a folder. With no logging set up the line goes to stderr as it is."""
+    """Log a warning once per folder; if logging is not set up, it goes to stderr."""
     if folder not in _told:
         _told.add(folder)
         logging.getLogger("hebbviz").warning(f"hebbviz: the compiler's cache in {folder} {what}")

@@ -1,7 +1,7 @@
-"""How functions are compiled here: strict IEEE arithmetic, without the GIL, cached on disk.
+"""Compilation of functions: strict IEEE arithmetic, without the GIL, cached on disk.
 
-No `fastmath` and no check for division by zero. What is cached is bound to all it was made of, see
-`cache_key`: where any of that has changed, it is compiled anew.
+Neither `fastmath` nor a check for division by zero is used. Cached code is bound to a key of all
+its sources, see `cache_key`, and compiled again when any of them changes.
 """
 
 from __future__ import annotations
@@ -19,39 +19,39 @@ from hebbviz.numerics.code_cache import cache_of
 
 if getattr(config, "DISABLE_JIT", 0):
     raise CompilerOff(
-        "NUMBA_DISABLE_JIT is set, and no network runs without the compiler: unset it"
+        "NUMBA_DISABLE_JIT is set, but no network runs without the compiler: unset it"
     )
 
 WIDTHS = (1, 16, 64)
-"""Lanes of a tile, for each of which the engine is compiled; lanes that nobody asked for idle."""
+"""Numbers of lanes in a tile; the engine is compiled once for each. Surplus lanes idle."""
 
 INLINED: Any = {
     "forceinline": True, "error_model": "numpy",
     "no_cpython_wrapper": True, "no_cfunc_wrapper": True,
 }  # fmt: skip
 inlined: Any = njit(**INLINED)
-"""For a small function that only compiled functions call; cached as a part of them. What Python or
-C would need to call it is left out: a third of the time to compile went into that.
+"""Decorator for a small function that only compiled functions call; cached as a part of them. It
+makes no entry points for Python and C, which took a third of the compile time.
 """
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """For a function that Python calls, or one of a task that is too large to be `inlined`."""
+    """Compile a function that Python calls, or a function of a task too large to be `inlined`."""
     dispatcher: Any = njit(nogil=True, error_model="numpy")(function)
     dispatcher._cache = cache_of(function, stamp(function))  # noqa: SLF001
     return dispatcher
 
 
 def called(signature: Any, *, allocates: bool = False) -> Callable[[Callable[..., Any]], Any]:
-    """For a function that compiled functions call by its address.
+    """Return a decorator that compiles a function for calls by address from compiled code.
 
-    Unless it `allocates` arrays, references to those it is given are not counted, which would
-    cost more than a small world's step does.
+    Unless it `allocates` arrays, references to its arguments are not counted; counting would cost
+    more than the step of a small world.
     """
     options = {"error_model": "numpy"} | ({} if allocates else {"_nrt": False})
 
     def compile_now(function: Callable[..., Any]) -> Any:
-        """What `numba.cfunc` does, which has no place to say what the cache is bound to."""
+        """Do the same as `numba.cfunc`, which does not accept a cache key."""
         callback: Any = CFunc(function, (signature.args, signature.return_type), {}, options)
         callback._cache = cache_of(function, stamp(function))  # noqa: SLF001
         callback.compile()
@@ -61,25 +61,25 @@ def called(signature: Any, *, allocates: bool = False) -> Callable[[Callable[...
 
 
 _WIDEST_VECTORS = '"prefer-vector-width"="512"'
-"""Without it the compiler takes half of what a processor with AVX-512 offers: 64 lanes of sonar in
-float32 took 1.6 times as long. The others take it for the widest they have.
+"""Without this attribute the compiler uses half the vector width of AVX-512, and 64 lanes of sonar
+in float32 took 1.6 times as long. Other processors use their widest vectors.
 """
 
-_intrinsic: Any = intrinsic  # numba gives it a type that knows little of how it is called
+_intrinsic: Any = intrinsic  # numba's type for it does not describe how it is called
 
 
 @_intrinsic
 def row(typing, state, index, width):  # type: ignore[no-untyped-def]
-    """Row `index` of a state (rows, width), for compiled code: a view, shape (width,).
+    """Return a view (width,) of row `index` of a state (rows, width), in compiled code.
 
-    Unchecked and uncounted. `width` is a constant where this is compiled; so the compiler sees
-    which rows are neighbours, and how many lanes a loop over a row has. Whoever takes a row loops
-    over lanes: that function is compiled for the widest vectors.
+    The index is not checked, and the reference is not counted. `width` is a compile-time constant,
+    so the compiler knows which rows are adjacent and how many lanes a loop over a row has. The
+    calling function loops over lanes, so it is compiled for the widest vectors.
     """
     view = types.Array(state.dtype, 1, "C")
 
     def code(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        set.add(builder.function.attributes, _WIDEST_VECTORS)  # past llvmlite's list of known ones
+        set.add(builder.function.attributes, _WIDEST_VECTORS)  # bypasses llvmlite's list
         whole = context.make_array(signature.args[0])(context, builder, args[0])
         found = context.make_array(view)(context, builder)
         size = context.get_constant(
@@ -97,7 +97,7 @@ def row(typing, state, index, width):  # type: ignore[no-untyped-def]
 
 @_intrinsic
 def fma(typing, a, b, c):  # type: ignore[no-untyped-def]
-    """a·b + c, rounded once, for compiled code."""
+    """Return a·b + c, rounded once, in compiled code."""
 
     def code(context, builder, signature, args):  # type: ignore[no-untyped-def]
         return builder.fma(*args)

@@ -1,16 +1,16 @@
-"""Random numbers that need no state: Philox4x32-7 (Salmon et al. 2011, 'Random123').
+"""A counter-based random number generator, Philox4x32-7 (Salmon et al. 2011, 'Random123').
 
-Every number is a pure function of (seed, lane, purpose, step, index). So a run does not depend
-on how it was cut into blocks, on other lanes or on threads, and going back needs no generator
-state: the draws of step t are those of step t, whenever they are asked for. It is the generator
-of cuRAND, PyTorch and TensorFlow, with the fewest rounds that its authors found to pass all of
-BigCrush, seven, where those take ten. The published test vectors for seven rounds are in the tests.
+Every number is a pure function of (seed, lane, purpose, step, index). A run therefore does not
+depend on its division into blocks, on other lanes or on threads, and rewinding needs no generator
+state. cuRAND, PyTorch and TensorFlow use this generator with ten rounds; seven is the smallest
+number that its authors found to pass all of BigCrush. The tests contain the published test vectors
+for seven rounds.
 
-Other generators were tried and not taken (64 lanes of sonar with AVX-512; processor time beside
-this one's). If random numbers cost nothing, a step would be 1.31 times as fast in float32 and 1.11
-times in float64 (`tests/benchmarks/random_numbers.py`). Blocks that four steps share, so that no
-word is left over, made it 0.95 and 1.05 times as fast; xoshiro128++ in bursts of 16 steps, each
-seeded by a block, 1.17 and 1.0 times, but one lane 0.7 times.
+Other generators were tried and rejected (64 lanes of sonar with AVX-512, processor time relative
+to this one). If random numbers cost nothing, a step would be 1.31 times as fast in float32 and 1.11
+times in float64 (`tests/benchmarks/random_numbers.py`). Blocks shared by four steps, which leave
+no word unused, made it 0.95 and 1.05 times as fast; xoshiro128++ in bursts of 16 steps, each
+seeded by a block, 1.17 and 1.0 times, but 0.7 times with one lane.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from hebbviz.numerics.compile import INLINED, compiled, inlined
 
 SPIKES, WORLD, INITIAL_WEIGHTS, FIRST_EPISODE, NEXT_EPISODE = 0, 1, 2, 3, 4
-"""Purposes: one independent stream each."""
+"""Purposes; each has an independent stream."""
 
 LARGEST_SEED = 2**32 - 1
 
@@ -37,8 +37,8 @@ _UNIT = 2.0**-32
 _8, _UNIT_32 = np.uint32(8), np.float32(2.0**-24)
 
 
-# Each word lives in the low half of 64 bits, which a vector multiply takes and gives; what is in
-# the high half is nobody's business until the end.
+# Each word is in the low half of 64 bits, as a vector multiply reads and writes it; the high half
+# is ignored until the end.
 
 
 @inlined
@@ -50,7 +50,7 @@ def _round(c0, c1, c2, c3, k0, k1):  # type: ignore[no-untyped-def]
 
 @inlined
 def philox(c0, c1, c2, c3, k0, k1):  # type: ignore[no-untyped-def]  # compiled: uint32 in and out
-    """Four random 32-bit words from a counter of four words and a key of two."""
+    """Return four random 32-bit words for a counter of four words and a key of two."""
     c0, c1, c2, c3 = np.uint64(c0), np.uint64(c1), np.uint64(c2), np.uint64(c3)
     k0, k1 = np.uint64(k0), np.uint64(k1)
     for _ in range(_ROUNDS):
@@ -62,16 +62,16 @@ def philox(c0, c1, c2, c3, k0, k1):  # type: ignore[no-untyped-def]  # compiled:
 
 @inlined
 def four_words(seed, lane, purpose, step, block):  # type: ignore[no-untyped-def]
-    """Draws 4·block to 4·block + 3 of that step, as 32-bit words."""
+    """Return draws 4·block to 4·block + 3 of a step, as 32-bit words."""
     low, high = np.uint64(step) & _MASK, np.uint64(step) >> _32
     return philox(block, low, high, purpose, seed, lane)
 
 
 @inlined
 def eight_words(seed, lane, purpose, step, block):  # type: ignore[no-untyped-def]
-    """Those of a block and of the one after it, four and four.
+    """Return the words of a block and of the next one, four each.
 
-    Two calls of `philox` side by side: neither waits for the other.
+    The two calls of `philox` are interleaved, so neither waits for the other.
     """
     low, high = np.uint64(step) & _MASK, np.uint64(step) >> _32
     k0, k1 = np.uint64(seed), np.uint64(lane)
@@ -90,22 +90,22 @@ def eight_words(seed, lane, purpose, step, block):  # type: ignore[no-untyped-de
 
 @inlined
 def unit64(word):  # type: ignore[no-untyped-def]
-    """A word as a number in (0, 1). It is below σ(v) with that probability to within 2⁻³³."""
+    """Convert a word to (0, 1). The result is below σ(v) with probability σ(v) to within 2⁻³³."""
     return (word + 0.5) * _UNIT
 
 
 @inlined
 def unit32(word):  # type: ignore[no-untyped-def]
-    """The upper 24 bits of a word as a number in [0, 1), which float32 holds exactly.
+    """Convert the upper 24 bits of a word to [0, 1), exactly in float32.
 
-    A neuron fires if this is below σ(v), so with probability σ(v) rounded up to a multiple of 2⁻²⁴:
-    with up to 6e-8 more than σ(v) at each step, and never with less than 2⁻²⁴, as 0 is drawn.
+    A neuron fires if this is below σ(v), so its probability is σ(v) rounded up to a multiple of
+    2⁻²⁴: at most 6e-8 more than σ(v), and at least 2⁻²⁴, because 0 can be drawn.
     """
     return np.float32(np.int32(word >> _8)) * _UNIT_32
 
 
 def unit(word: Any, like: Any) -> Any:
-    """A word as a number between 0 and 1 in the type of `like`."""
+    """Convert a word to a number between 0 and 1 of the type of `like`."""
     raise NotImplementedError("unit is for compiled code")
 
 
@@ -118,7 +118,7 @@ def _unit_for(word, like):  # type: ignore[no-untyped-def]
 
 @inlined
 def four_uniforms(seed, lane, purpose, step, block):  # type: ignore[no-untyped-def]
-    """Four numbers in (0, 1): draws 4·block to 4·block + 3 of that step."""
+    """Return draws 4·block to 4·block + 3 of a step, as numbers in (0, 1)."""
     a, b, c, d = four_words(seed, lane, purpose, step, block)
     return unit64(a), unit64(b), unit64(c), unit64(d)
 
@@ -134,7 +134,7 @@ def _fill(out, seed, lane, purpose, step):  # type: ignore[no-untyped-def]
 def uniforms(
     count: int, *, seed: int, lane: int = 0, purpose: int, step: int = 0
 ) -> NDArray[np.float64]:
-    """The first `count` draws of one step, shape (count,), each uniform in (0, 1)."""
+    """Return the first `count` draws of a step, (count,), each uniform in (0, 1)."""
     out = np.empty(count)
     _fill(out, np.uint32(seed), np.uint32(lane), np.uint32(purpose), np.int64(step))
     return out
@@ -153,7 +153,7 @@ class Draws:
 
 
 def check_seed(seed: int) -> int:
-    """The seed itself; raises ValueError unless it is a whole number from 0 to 2³² - 1."""
+    """Return the seed; raise ValueError unless it is a whole number from 0 to 2³² - 1."""
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
         raise ValueError(f"seed must be a whole number, got {seed!r}")
     if not 0 <= seed <= LARGEST_SEED:

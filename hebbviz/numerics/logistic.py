@@ -1,7 +1,7 @@
-"""σ(v) = 1/(1 + e^{−v}), compiled, in float64 and in float32, by arithmetic alone.
+"""σ(v) = 1/(1 + e^{−v}), compiled for float64 and float32 from basic arithmetic.
 
-An exponential of our own: the same to the bit whatever the number of lanes, and with or without a
-vector mathematics library on the machine.
+It has its own exponential, which gives the same bits for any number of lanes, and with or without
+a vector math library on the machine.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _MANTISSA = np.int32(23)
 
 @inlined
 def _exp64(a):  # type: ignore[no-untyped-def]  # compiled: float64 to float64
-    """e^a for a ≤ 0, to 1 unit in the last place; below −700 it stays at e^−700."""
+    """Return e^a for a ≤ 0, to 1 unit in the last place; below −700 it is e^−700."""
     a = max(a, -700.0)
     shifted = a * _LOG2_E + _ROUND
     n = shifted - _ROUND
@@ -48,7 +48,7 @@ def _exp64(a):  # type: ignore[no-untyped-def]  # compiled: float64 to float64
 
 @inlined
 def _exp32(a):  # type: ignore[no-untyped-def]  # compiled: float32 to float32
-    """e^a in float32, to 2 units in the last place; beyond ±86 it stays what it is there."""
+    """Return e^a in float32, to 2 units in the last place; beyond ±86 it is e^±86."""
     a = min(max(a, -_F_FARTHEST), _F_FARTHEST)
     shifted = fma(a, _F_LOG2_E, _F_ROUND)
     n = shifted - _F_ROUND
@@ -72,7 +72,7 @@ def _sigmoid32(v):  # type: ignore[no-untyped-def]
 
 
 def sigmoid(v: Any) -> Any:
-    """σ(v), equation (neuron), in the type of v."""
+    """Return σ(v), equation (neuron), in the type of v."""
     raise NotImplementedError("sigmoid is for compiled code")
 
 

@@ -1,4 +1,4 @@
-"""The contract of a rule. A file of your own imports from here."""
+"""The contract of a rule. Files that define a rule import from here."""
 
 from hebbviz.rules.base import Rule, parameter
 

@@ -1,12 +1,12 @@
-"""Reward baseline: every synapse is sent how much better the reward was than usual.
+"""Reward baseline: every synapse receives the reward minus its running mean.
 
     m_t = r_t − b_{t−1}                      (sent in place of r_t)
-    b_t = b_{t−1} + (r_t − b_{t−1}) / T      (the usual reward, over about the last T steps)
+    b_t = b_{t−1} + (r_t − b_{t−1}) / T      (mean reward over about the last T steps)
 
-with b = 0 at first; the baseline of a step is the one from before its reward. A number added to
-all rewards changes nothing once b has taken it in. T is to be much longer than a trace lasts,
-1/(1 − β): b then hardly depends on what a trace remembers, so that the direction of learning is
-the same on average, with less noise.
+starting from b = 0; a step uses the baseline from before its reward. A constant added to all
+rewards has no effect once b has adapted to it. T should be much longer than a trace lasts,
+1/(1 − β): then b hardly depends on the spikes in a trace, and the mean direction of learning stays
+the same, with less noise.
 """
 
 from dataclasses import dataclass
@@ -17,13 +17,16 @@ from hebbviz.task import Reading
 
 @dataclass(frozen=True)
 class Baseline(Rule):
-    """`time` is T, in steps: at 1 the baseline is the reward of the step before."""
+    """Sends the reward minus its running mean over `time` steps, T.
+
+    With T = 1 the baseline is the reward of the previous step.
+    """
 
     name = "baseline"
-    summary = "the reward less a running mean of it, the reward baseline"
+    summary = "the reward minus its running mean, the reward baseline"
     memory = (Reading("baseline", "reward per step"),)
     time: float = parameter(
-        1000.0, least=1.0, most=1e12, unit="steps", hint="T, how far back the mean goes"
+        1000.0, least=1.0, most=1e12, unit="steps", hint="T, averaging time of the mean"
     )
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""The paper's rule: every synapse is sent the reward itself, m = r."""
+"""The paper's rule: every synapse receives the reward itself, m = r."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hebbviz.rules import Rule
 
 @dataclass(frozen=True)
 class Paper(Rule):
-    """Bartlett and Baxter (1999), equation (neuron-update)."""
+    """Sends the reward itself: Bartlett and Baxter (1999), equation (neuron-update)."""
 
     name = "paper"
     summary = "the reward itself, as in the paper"

@@ -1,7 +1,7 @@
-"""A few steps of a rule in plain Python, on NumPy's arrays.
+"""A dry run of a rule: a few steps in plain Python, on NumPy arrays.
 
-Compiled, a rule goes on after an error, and reads and writes beyond its arrays unseen. Here it is
-told.
+A compiled rule continues after an error, and reads and writes beyond its arrays unnoticed. A dry
+run detects both.
 """
 
 from __future__ import annotations
@@ -30,8 +30,11 @@ class Tried(Protocol):
 
 @lru_cache(maxsize=256)
 def try_out(rule: Tried) -> None:
-    """Raise ValueError, in one line, if a rule raises, leaves its arrays, changes what it is only
-    to read, or sends or keeps what is not finite. In as many lanes as it needs, and in some more.
+    """Raise ValueError, with a one-line message, if a rule fails in a dry run.
+
+    It fails if it raises, reads or writes beyond its arrays, changes an argument that it may only
+    read, or sends or stores a non-finite value. The run has the least number of lanes that the
+    rule needs, then two more.
     """
     for lanes in (rule.least_lanes, rule.least_lanes + 2):
         memory = np.zeros((len(rule.memory), lanes))

@@ -1,7 +1,7 @@
-"""The yoked control: lane k is sent the reward of lane k + 1, the last one that of the first.
+"""The yoked control: lane k receives the reward of lane k + 1, the last lane that of the first.
 
-A lane is an independent run, so what it is sent has the statistics of a reward, and knows nothing
-of what this lane's neurons did: it must not learn. If it does, the measure is at fault.
+Lanes are independent runs. The received reward therefore has the right statistics but does not
+depend on this lane's neurons, so the lane must not learn. If it does, the measure is wrong.
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ from hebbviz.rules import Rule
 
 @dataclass(frozen=True)
 class Yoked(Rule):
-    """Needs two lanes, and takes no more than are stepped together, 64. (Of one lane, fork the run
-    in the page with 'reward of another run'.)
+    """Sends each lane the reward of the next one.
+
+    It needs at least two lanes and takes at most 64, the number stepped together. For a single
+    lane, fork the run on the page with 'reward of another run'.
     """
 
     name = "yoked"

@@ -1,4 +1,4 @@
-"""The contract of a task. A file of your own imports from here."""
+"""The contract of a task. Files that define a task import from here."""
 
 from hebbviz.task.base import (
     CompiledTask,

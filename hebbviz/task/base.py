@@ -1,9 +1,9 @@
-"""What a world must say so that a network can learn in it.
+"""The contract of a task: the world that a network learns in.
 
-A task is a small partially observable decision process with all of its state in one array of
-numbers. Its parts are separate functions, and each is pure: the next state depends on nothing but
-the state, the action and the draws. That alone makes runs repeatable, saves exact, and lets the
-page rewind. `hebbviz/conformance.py` checks any task against this contract.
+A task is a small partially observable decision process whose whole state is one array of numbers.
+Its methods are pure functions: the next state depends only on the state, the action and the random
+draws. Runs are therefore repeatable, saves are exact, and the page can rewind.
+`hebbviz/conformance.py` checks a task against this contract.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 FROZEN_STEPS = 100_000
-"""Of a frozen copy that is evaluated, as in the paper."""
+"""Steps for which a frozen copy is evaluated, as in the paper."""
 
 
 @dataclass(frozen=True)
 class Input:
-    """One input value: what it is, its unit, and the gain that makes it an activity."""
+    """One input value: its name, its unit, and the gain that converts it to an activity."""
 
     name: str
     unit: str = ""
@@ -41,7 +41,7 @@ class Input:
 
 @dataclass(frozen=True)
 class Output:
-    """One output neuron: what the world does when it fires and when it is silent."""
+    """One output neuron: its name, and its effect when it fires and when it is silent."""
 
     name: str
     fires: str
@@ -50,7 +50,7 @@ class Output:
 
 @dataclass(frozen=True)
 class Tally:
-    """Totals over a stretch of steps: the task's reward, the broadcast one, episodes ended."""
+    """Totals over a number of steps: task reward, broadcast reward, episodes ended."""
 
     steps: int
     reward: float
@@ -72,9 +72,9 @@ class Tally:
 
 @dataclass(frozen=True)
 class Score:
-    """A task's measure of success over a stretch.
+    """A value of a task's measure, computed over a number of steps.
 
-    A mean time to an event is an estimate, made by `per_event`: `events` were counted in a `time`.
+    `per_event` makes a mean time to an event, an estimate from `events` counted during `time`.
     """
 
     value: float
@@ -83,25 +83,26 @@ class Score:
 
     @classmethod
     def per_event(cls, time: float, events: float) -> Score:
-        """time/events, the maximum-likelihood estimate also if the last wait was cut short;
-        infinite without an event.
+        """Return time/events, infinite without an event.
+
+        This is the maximum-likelihood estimate, even if the last wait was cut short.
         """
         count = round(events)
         return cls(time / count if count else math.inf, count, time)
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Of a mean time to an event: its 95 % interval, see `poisson.time_to_event`."""
+        """The 95 % interval of a mean time to an event, see `poisson.time_to_event`."""
         return time_to_event(self.time, self.events or 0)
 
 
 @dataclass(frozen=True)
 class Measure:
-    """What the learning curve shows: a name, a key for files, a unit, and its axis.
+    """The quantity of the learning curve: its name, its key in files, its unit and its axis.
 
-    `span` is the range of the axis, None for one that follows the curve; a logarithmic axis
-    needs one. A mean time to an event says which `event`, in the singular: its scores are made by
-    `Score.per_event`.
+    `span` is the range of the axis; None scales the axis to the curve. A logarithmic axis needs a
+    span. A mean time to an event names the `event`, in the singular; `Score.per_event` makes its
+    scores.
     """
 
     name: str
@@ -113,19 +114,20 @@ class Measure:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """The figures that tell it: the key alone, or with the number of events and both ends of
-        the 95 % interval.
+        """The keys of its figures: its own; for a mean time to an event also those of the number
+        of events and of both ends of the 95 % interval.
         """
         return (self.key, f"{self.event}s", *self.ends) if self.event else (self.key,)
 
     @property
     def ends(self) -> tuple[str, str]:
-        """The keys of the ends of the 95 % interval."""
+        """The keys of the lower and upper ends of the 95 % interval."""
         return f"{self.key}_low", f"{self.key}_high"
 
     def figures(self, score: Score) -> dict[str, float]:
-        """A score as the figures of `keys`; infinite are the time to an event that was not seen,
-        and the upper end of its interval.
+        """Return the figures of a score by the names in `keys`.
+
+        Without an event the mean time and the upper end of its interval are infinite.
         """
         if not self.event:
             return {self.key: score.value}
@@ -134,10 +136,10 @@ class Measure:
 
 @dataclass(frozen=True)
 class Prop:
-    """A thing of the world's scene: 'box', 'sphere' or 'cylinder' of unit size, to be scaled.
+    """A scene object of unit size: a 'box', 'sphere' or 'cylinder', which a `Pose` scales.
 
     `color` is red, green, blue in 0..1, or the name of a role in the page's palette: 'world',
-    'world strong', 'accent', 'positive', 'negative'. `trail` asks for the path it took.
+    'world strong', 'accent', 'positive', 'negative'. `trail` draws the object's recent path.
     """
 
     name: str
@@ -148,7 +150,7 @@ class Prop:
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the props are: arrays in the order of `Task.props`, and a line of words.
+    """Where the scene objects are: arrays in the order of `Task.props`, and a line of text.
 
     `position` (props, 3) in scene units, z up; `rotation` (props, 4) quaternions, w first;
     `scale` (props, 3) full extent along each axis.
@@ -162,7 +164,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Reading:
-    """A number of the world to be recorded and plotted; `steps`: it jumps, and holds between."""
+    """A number that recordings plot; `steps` marks one that is piecewise constant."""
 
     name: str
     unit: str = ""
@@ -171,7 +173,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Control:
-    """A button of the task on the page; pressing it calls `Task.press` with its name."""
+    """A button that the page shows for the task; pressing it calls `Task.press` with its name."""
 
     name: str
     hint: str
@@ -179,50 +181,51 @@ class Control:
 
 
 class Task:
-    """A world to learn in. Subclass it; a worked example is in the README.
+    """A world to learn in. Subclass it; the README has a worked example.
 
-    One object serves one thread at a time; whoever needs another makes another.
+    Class attributes describe the task, methods define its dynamics. All attributes below `outputs`
+    have defaults.
 
-    The draws of a restart are others than those of the transition that ended the episode.
-
-    Class attributes say what it is; the methods say how it goes. Everything below `outputs` may
-    be left as it is.
+    One object serves one thread at a time; each thread makes its own. A restart draws other random
+    numbers than the transition that ended the episode.
     """
 
     name: ClassVar[str]
     summary: ClassVar[str] = ""
     version: ClassVar[int] = 1
-    """Raised when the same state, action and draws come to lead to something else: a recording made
-    before then says why its steps cannot be made again.
+    """Increased when the same state, action and draws lead to another result, so that an older
+    recording can explain why its steps cannot be recomputed.
     """
     outputs: ClassVar[tuple[Output, ...]]
     presets: ClassVar[Mapping[str, Preset]]
     dt: ClassVar[float | None] = None
-    """Seconds that a step lasts; None for a task that has no time but its steps."""
+    """Duration of a step in s; None for a task without a time scale."""
     epoch: int | None = None
-    """Steps of one pass over a training set; None for a task that has none."""
+    """Steps of one pass over the training set; None for a task without one."""
     switches: ClassVar[tuple[Switch, ...]] = ()
-    """What can be switched on or off beside any preset."""
+    """Options that can be switched on or off with any preset."""
     hidden: ClassVar[tuple[int, ...]] = (8,)
-    """Sizes of the hidden layers, where the preset brings none of its own."""
+    """Sizes of the hidden layers, unless the preset gives its own."""
     activity: ClassVar[Activity] = SYMMETRIC
     weight_range: ClassVar[float] = 0.1
-    """Initial weights are uniform in ± this."""
+    """Initial weights are uniform in ±weight_range."""
     measure: ClassVar[Measure] = Measure("average reward", "average_reward", "per step")
     frozen_figures: tuple[str, ...] = ()
     """Keys of `evaluate` for the learning curve; fractions where the measure is in %."""
     readings: ClassVar[tuple[Reading, ...]] = ()
-    """What recordings plot of the world, in the order of `read`."""
+    """Numbers of the world that recordings plot, in the order of `read`."""
     props: Sequence[Prop] = ()
     legend: ClassVar[str] = ""
-    """What is to be known of the props to see what they show."""
+    """A short explanation of the scene objects."""
     controls: ClassVar[tuple[Control, ...]] = ()
     natural_speed: float | None = None
-    """Steps per second at which the page opens; None for as fast as it goes."""
+    """Steps per second when the page opens; None for full speed."""
     watch_speed: ClassVar[float | None] = None
-    """Steps per second of the excerpts that the page plays; None for real time, or 25."""
+    """Steps per second of the excerpts that the page plays; None for real time, or 25 steps per
+    second where `dt` is None.
+    """
     hand_reward: ClassVar[float] = 1.0
-    """How much reward the page's + and - buttons give."""
+    """Size of the manual reward that the page's + and - buttons give."""
 
     inputs: tuple[Input, ...]
 
@@ -230,10 +233,10 @@ class Task:
         self.preset_name, self.preset = self.find_preset(preset)
 
     def find_preset(self, spec: str | None) -> tuple[str, Preset]:
-        """The preset of a name, as `presets.find_preset` reads it, and its shortest name; the
-        task's first for None.
+        """Return the shortest name and the preset that `spec` names; for None the first preset.
 
-        Raises UnknownPreset for a preset or a switch that the task does not have.
+        `presets.find_preset` reads the spec. Raises UnknownPreset for a preset or a switch that
+        the task does not have.
         """
         wanted = next(iter(self.presets)) if spec is None else spec
         try:
@@ -243,79 +246,79 @@ class Task:
 
     @property
     def plain_preset(self) -> str:
-        """The preset's name without what was switched."""
+        """The preset's name without its switches."""
         name = self.preset_name
         return name if name in self.presets else name.partition(":")[0]
 
     @property
     def settings(self) -> dict[str, bool]:
-        """Which of the switches are on."""
+        """Each switch's name, and whether it is on."""
         return {s.name: is_on(self.preset, s) for s in self.switches}
 
     @property
     def note(self) -> str:
-        """What the preset and the switches that are on make of it, in a sentence."""
+        """One sentence about the preset and the switches that are on."""
         return "; ".join(
             (self.preset.note, *(s.words for s in self.switches if is_on(self.preset, s)))
         )
 
     def switched(self, name: str, on: bool) -> str:
-        """The name of this setting with one of the switches set."""
+        """Return the name of this preset with one of the switches set to `on`."""
         return self.find_preset(spelled(self.plain_preset, self.settings | {name: on}))[0]
 
     # The world
 
     def restart(self, draws: Callable[[int], Array]) -> Array:
-        """A new episode's state, shape (numbers of the state,)."""
+        """Return the first state of an episode, (numbers,); `draws(n)` gives n uniform numbers."""
         raise NotImplementedError
 
     def transition(self, state: Array, action: Array, draws: Callable[[int], Array]) -> Array:
-        """The state after one step; `action` (outputs,) holds the outputs' activities u."""
+        """Return the state after one step; `action` (outputs,) holds the outputs' activities u."""
         raise NotImplementedError
 
     def observation(self, state: Array) -> Array:
-        """The input values, shape (inputs,), gains applied."""
+        """Return the input values of a state, (inputs,), with the gains applied."""
         raise NotImplementedError
 
     def reward(self, state: Array) -> float:
-        """The reward for having come into this state."""
+        """Return the reward for entering this state."""
         raise NotImplementedError
 
     def ended(self, state: Array) -> bool:
-        """Whether the episode ends here; the next state is then a restart."""
+        """Whether the episode ends in this state; `restart` then gives the next state."""
         return False
 
     def clamps(self, state: Array) -> Array | None:
-        """What makes neurons fire (1) or not (0) at the next step, NaN leaving it to chance.
+        """Return the clamps of the next step, (neurons,) in the order of the topology, or None.
 
-        Shape (neurons,), in the order of the topology; None leaves all of them to chance.
+        1 makes a neuron fire, 0 keeps it silent, NaN lets it draw its spike; None clamps nothing.
         """
         return None
 
     def press(self, state: Array, control: str) -> Array:
-        """The state after a button of `controls` was pressed."""
+        """Return the state after a button of `controls` was pressed."""
         return state
 
     def check_states(self, states: Array) -> None:
-        """Raise ValueError if one of the states (n, numbers), read from a file, cannot be.
+        """Raise ValueError if one of the states (n, numbers), read from a file, is invalid.
 
-        For what compiled code would trip over unseen, such as a number that it looks up a table by.
+        Check what compiled code uses unchecked, such as an index into a table.
         """
 
     def in_lanes(self) -> Task:
-        """The same world compiled, for many lanes at once; itself where there is no other."""
+        """Return the compiled version of the world for many lanes, by default the task itself."""
         return self
 
     # What is seen of it
 
     def pose(self, state: Array) -> Pose:
-        """The scene of a state."""
+        """Return the pose of the scene objects in a state."""
         return Pose(np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)))
 
     def poses(self, states: Array) -> tuple[Array, Array, Array]:
-        """Positions, rotations and scales of many states (n, numbers), each (n, props, 3 or 4).
+        """Return positions, rotations and scales of states (n, numbers), each (n, props, 3 or 4).
 
-        As `pose` says for each of them; worth writing for a task whose recordings show a world.
+        The result equals `pose` of each state. Override it to make recordings with a scene faster.
         """
         poses = [self.pose(state) for state in states]
         return (
@@ -324,65 +327,63 @@ class Task:
         )  # fmt: skip
 
     def read(self, states: Array) -> Array:
-        """The `readings` of many states: (n, numbers) in, (n, readings) out."""
+        """Return the `readings` of states (n, numbers), as (n, readings)."""
         return np.zeros((len(states), 0))
 
     # How well it goes
 
     def score(self, tally: Tally) -> Score:
-        """The measure of success over a stretch of steps."""
+        """Return the measure over the steps of a tally."""
         return Score(tally.average_reward)
 
     def evaluate(self, learner: Learner) -> dict[str, Array]:
-        """How a frozen copy does in each lane, (lanes,), in a run of its own: the figures of the
-        measure over 100 000 steps.
+        """Return the measure's figures by key, (lanes,) each, of a frozen copy over 100 000 steps.
 
-        The learner is left as it is.
+        The copy runs separately; the learner does not change.
         """
         tallies = learner.frozen_copy().skip_tallied(FROZEN_STEPS)
         figures = [self.measure.figures(self.score(t)) for t in tallies]
         return {key: np.array([f[key] for f in figures]) for key in self.measure.keys}
 
     def results(self, learner: Learner, late: Tally) -> dict[str, float]:
-        """The figures `hebbviz train` reports; `late` covers the last fifth of its steps."""
+        """Return the figures that `hebbviz train` prints; `late` covers the last fifth of a run."""
         return self.measure.figures(self.score(late))
 
     def truth(self, weights: Array, topology: Topology, beta: float) -> GradientTruth | None:
-        """The true gradient for `weights` (synapses,), of a task that can know it; else None.
+        """Return the exact gradient at `weights` (synapses,), or None if the task has none.
 
-        A task that has it is shown with it beside the rule's estimate. It is asked for a few
-        times a second, by several threads. Raises ValueError where there is none for this
-        network, and says why.
+        The page shows it beside the rule's estimate. Several threads call this a few times per
+        second. Raises ValueError, with the reason, if this network has no exact gradient.
         """
         return None
 
     # What a learner starts from
 
     def topology(self, hidden: Sequence[int] | None = None) -> Topology:
-        """The network for the task: feedforward, with the preset's hidden layers unless given."""
+        """Return the network: feedforward, with the preset's hidden layers unless given."""
         own = self.hidden if self.preset.hidden is None else self.preset.hidden
         sizes = own if hidden is None else tuple(hidden)
         return feedforward(len(self.inputs), sizes, len(self.outputs), activity=self.activity)
 
     def initial_weights(self, draws: Array) -> Array:
-        """Initial weights from uniform draws, both of shape (synapses,)."""
+        """Return initial weights from uniform draws, both of shape (synapses,)."""
         return self.weight_range * (2.0 * draws - 1.0)
 
 
 class CompiledTask(Task):
-    """A task whose step is compiled too: the same functions, for all lanes at once.
+    """A task that also has a compiled step for all lanes.
 
-    `answer` is a function compiled with the signature `signature.WORLD`. It must do what the
-    methods of the task do, to the bit; the conformance suite compares them.
+    `answer` is a function compiled with the signature `signature.WORLD`. It must give the same bits
+    as the task's methods; the conformance suite compares them.
 
-    There are no `clamps`, which compiled code does not ask for; a `Learner` refuses a task that has
-    some. Whether rewards and inputs are finite is looked at after all the steps of a call. If one
-    is not, TaskError is raised and the learner is where it was before the call; only an input that
-    was not finite in between and is so at the end goes unseen.
+    Compiled code does not call `clamps`, so a `Learner` refuses a compiled task that defines it.
+    Rewards and inputs are checked after all steps of a call: if one is not finite, TaskError is
+    raised and the learner returns to its state before the call. An input that was not finite in
+    between but is finite at the end is not detected.
     """
 
     answer: ClassVar[Any]
 
     def data(self) -> Array:
-        """Constants that `answer` reads, shape (rows, columns)."""
+        """Return the constants that `answer` reads, (rows, columns)."""
         return np.zeros((1, 1))

@@ -1,10 +1,10 @@
-"""A finite POMDP as a task, so that networks learn in it and the truth about them is known.
+"""A finite POMDP as a task, so that the exact gradient of a network that learns in it is known.
 
     observation y  →  row y of `vectors`, the activities of the input units
     control u      ←  the outputs' joint activity: output i, firing, adds 2^i
 
-In the order of the engine: the network answers with u, the world goes from x to x' by P(u), the
-reward is r(x'), and y' ~ ν(x') is what the network sees next.
+In the engine's order: the network answers with u, the world moves from x to x' by P(u), the reward
+is r(x'), and the network sees y' ~ ν(x') next.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ _X, _Y, _PAST = range(3)
 _STATES, _SIGHTS, _CONTROLS, _INPUTS, _PASTS = range(5)
 
 NOTHING = -1
-"""In a history, for what was before the start."""
+"""Marks times before the start in a history."""
 LARGEST_PAST = 2**53
-"""Whole numbers up to here are exact in float64."""
+"""float64 holds integers exactly up to here."""
 
 
 @compiled
 def _drawn(data, row, count, draw):  # type: ignore[no-untyped-def]
-    """The first place in a row of sums that is above the draw."""
+    """The first index in a row of cumulative sums whose value exceeds the draw."""
     for k in range(count - 1):
         if data[row, k] > draw:
             return k
@@ -50,7 +50,7 @@ def _drawn(data, row, count, draw):  # type: ignore[no-untyped-def]
 
 @called(WORLD_SIGNATURE)
 def answer(world, action, data, keys, step, observation, reward, ended):  # type: ignore[no-untyped-def]
-    """The world's step for all lanes, see `signature.WORLD`; `data` is the task's."""
+    """Step the world in all lanes, see `signature.WORLD`; `data` is `FiniteWorld.data`."""
     states, sights = np.int64(data[0, _STATES]), np.int64(data[0, _SIGHTS])
     seen = 1 + states * np.int64(data[0, _CONTROLS])
     changed = 0
@@ -78,21 +78,21 @@ def answer(world, action, data, keys, step, observation, reward, ended):  # type
 
 
 class FiniteWorld(CompiledTask):
-    """State: x and y. A subclass says which world: `pomdp`, `vectors` and `outputs`.
+    """A finite world, with state (x, y). A subclass defines `pomdp`, `vectors` and `outputs`.
 
-    Where `past` is not 0, the state is followed by one number that holds the `past` pairs x, y
-    before: to be shown, for the world itself does not depend on it. `history` reads it. Its
-    digits, the latest last, are 1 + x·Y + y, and 0 before the start.
+    If `past` is not 0, one more number of the state encodes the `past` previous pairs (x, y), for
+    display only: the world does not depend on it. `history` decodes it. Its digits, the latest
+    last, are 1 + x·Y + y, and 0 before the start.
 
-    `vectors` (Y, inputs) are the input values for each observation; the inputs are numbered if
-    the subclass does not name them. An episode never ends; the first x is uniform over the
-    states. `finite` makes one without a class of your own.
+    `vectors` (Y, inputs) gives the input values of each observation; the inputs are numbered if
+    the subclass does not name them. Episodes never end; the first x is uniform over the states.
+    `finite_world` makes a task without a subclass.
 
     Raises
     ------
     ValueError
-        If the vectors are not one for each observation, inputs and outputs do not fit, or the
-        past does not fit in one number.
+        If there is not one vector per observation, if inputs or outputs do not fit the world, or
+        if the past does not fit into one number.
     """
 
     pomdp: ClassVar[POMDP]
@@ -127,7 +127,7 @@ class FiniteWorld(CompiledTask):
         self._sight = self.pomdp.observations.cumsum(axis=1)
 
     def data(self) -> Array:
-        """What `answer` reads: sizes; sums of P(u), row by row, of ν; vectors; rewards."""
+        """Rows for `answer`: sizes, cumulative sums of P(u) and of ν, vectors, rewards."""
         w = self.pomdp
         sizes = np.array(
             [[w.states, w.sights, w.controls, len(self.inputs), self._base**self.past]]
@@ -163,9 +163,10 @@ class FiniteWorld(CompiledTask):
             check_places(what, column, end)
 
     def history(self, states: Array) -> tuple[Whole, Whole]:
-        """x and y of the `past` steps before and of the present one, each (n, past + 1).
+        """Return x and y of the `past` previous steps and of the present one, each (n, past + 1).
 
-        Of states (n, numbers); the present is the last column, NOTHING is before the start.
+        `states` has shape (n, numbers). The last column is the present; steps before the start
+        hold NOTHING.
         """
         x, y = states[:, [_X]].astype(np.int64), states[:, [_Y]].astype(np.int64)
         if not self.past:
@@ -181,7 +182,10 @@ class FiniteWorld(CompiledTask):
         return np.array([x, y, past] if self.past else [x, y], dtype=np.float64)
 
     def truth(self, weights: Array, topology: Topology, beta: float) -> GradientTruth:
-        """From the exact chain; raises ValueError where the network is too large for one."""
+        """Return the gradient of the exact chain.
+
+        Raises ValueError if the network is too large for an exact chain.
+        """
         exact = self._exact
         if exact is None or exact.topology != topology:
             exact = self._exact = ExactNetwork(self.pomdp, self.vectors, topology)
@@ -192,16 +196,16 @@ class FiniteWorld(CompiledTask):
         )  # fmt: skip
 
     def best_reward(self, topology: Topology) -> float | None:
-        """The most that a network of this topology can earn a step, None if that is not known."""
+        """Return the largest average reward of a network of this topology; None if unknown."""
         return None
 
 
 def finite_world(
     pomdp: POMDP, vectors: Array, *, activity: Activity = SYMMETRIC, hidden: tuple[int, ...] = (2,)
 ) -> FiniteWorld:
-    """A task of this POMDP whose observations are shown as `vectors` (Y, inputs).
+    """Make a task of a POMDP; `vectors` (Y, inputs) gives the inputs of each observation.
 
-    Raises ValueError if its controls are not the joint activities of some outputs.
+    Raises ValueError if the number of controls is not a power of two.
     """
     outputs = tuple(
         Output(f"output {i + 1}", f"adds {2**i} to the control", "adds nothing")

@@ -1,8 +1,8 @@
-"""The presets of a task, what can be switched on or off beside any of them, and their names.
+"""Presets of a task, switches that can be set with any of them, and the spelling of both.
 
-A preset is named as `NAME`, or as `NAME:switch=yes,switch=no` with some of the task's switches
-set otherwise than it has them. That name says all of the task's setting, so it is what saves,
-recordings, figures and command lines hold.
+A preset is named as `NAME`, or as `NAME:switch=yes,switch=no` where switches differ from the
+preset's own. This name describes the task's whole setting; saves, recordings, figures and command
+lines use it.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ SAID = {"yes": True, "no": False}
 
 
 class UnknownPreset(ValueError):
-    """A task has no preset or no switch of that name; the message, one line, says what it has."""
+    """The task has no such preset or switch; the one-line message lists those that it has."""
 
 
 @dataclass(frozen=True)
 class Preset:
-    """A named setting of a task: the learner's β, γ and rule, and what the task needs besides.
+    """A named setting of a task: the learner's β, γ and rule, and options of the task.
 
-    `note` says in a sentence how it differs from the paper. `rule` is as `rules.make_rule` reads
-    it; `fall` the steps over which γ falls; `hidden` the sizes of the hidden layers, None for the
-    task's own.
+    `note` states in one sentence how the preset differs from the paper. `rule` is a spec for
+    `rules.make_rule`; `fall` is the step-size decay time in steps; `hidden` gives the sizes of the
+    hidden layers, None for the task's default.
     """
 
     beta: float
@@ -39,9 +39,9 @@ class Preset:
 
 @dataclass(frozen=True)
 class Switch:
-    """A choice of two: its name, and in a few words what the world has when it is on.
+    """An option of a task: its name, and a few words that describe the world when it is on.
 
-    Whether it is on is in the `options` of the task's preset, under its name; off if it is not.
+    The preset's `options` hold its state under its name; it is off if they do not.
     """
 
     name: str
@@ -51,9 +51,9 @@ class Switch:
 def find_preset(
     presets: Mapping[str, Preset], switches: Sequence[Switch], spec: str
 ) -> tuple[str, Preset]:
-    """The preset that `spec` names, and its shortest name.
+    """Return the shortest name and the preset that `spec` names.
 
-    Raises UnknownPreset for a preset or a switch that is not there.
+    Raises UnknownPreset for an unknown preset or switch.
     """
     name, given = (spec, "") if spec in presets else spec.partition(":")[::2]
     if name not in presets:
@@ -68,11 +68,12 @@ def find_preset(
 
 
 def is_on(preset: Preset, switch: Switch) -> bool:
+    """Whether the switch is on in this preset."""
     return bool(preset.options.get(switch.name, False))
 
 
 def spelled(name: str, settings: Mapping[str, bool]) -> str:
-    """A preset with switches set, as `find_preset` reads it."""
+    """Return the spec of a preset with these switches set; `find_preset` reads it."""
     given = ",".join(f"{switch}={'yes' if on else 'no'}" for switch, on in settings.items())
     return ":".join(filter(None, (name, given)))
 
@@ -84,5 +85,5 @@ def _settings(given: str, known: Sequence[str]) -> Iterator[tuple[str, bool]]:
             has = f"it has {', '.join(known)}" if known else "it has none"
             raise UnknownPreset(f"no switch {name!r}; {has}")
         if said not in SAID:
-            raise UnknownPreset(f"a switch {name}, which is set to yes or no, not to {said!r}")
+            raise UnknownPreset(f"a switch {name}, which must be yes or no, got {said!r}")
         yield name, SAID[said]

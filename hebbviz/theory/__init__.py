@@ -1,1 +1,1 @@
-"""POMDPs, their policies and Markov chains: exact values to hold estimates against."""
+"""POMDPs, policies and Markov chains, which give exact values to compare estimates with."""

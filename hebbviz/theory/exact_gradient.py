@@ -1,10 +1,10 @@
-"""What is known exactly of a small network in a finite world, to hold an estimate against.
+"""The exact gradient of a small network in a finite world, to compare estimates with.
 
-    ∇η        the true gradient of the average reward
-    E[r z]    what the mean of r z goes to at this β: the rule's gradient, bias and all
-    noise/T   the variance of that mean over T steps, T long against 1/(1 − β) and the mixing
+    ∇η        the exact gradient of the average reward
+    E[r z]    the limit of the mean of r z at this β: the rule's gradient, including its bias
+    noise/T   the variance of that mean over T steps, for T ≫ 1/(1 − β) and the mixing time
 
-So the angle between ∇η and the mean over T steps falls like 1/√T, down to the angle of the bias.
+The angle between ∇η and the mean over T steps therefore falls like 1/√T, down to the bias angle.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class GradientTruth:
-    """Of one network at its weights and β; arrays (synapses,) in the topology's order.
+    """The exact gradient at given weights and β; arrays (synapses,) in the topology's order.
 
-    `average_reward` is η; `best_reward` the most that a network of this topology can earn, None
-    if that is not known.
+    `gradient` is ∇η, `biased` E[r z] and `noise` its variance times T. `average_reward` is η;
+    `best_reward` is the largest η of a network of this topology, None if it is not known.
     """
 
     gradient: Array
@@ -32,31 +32,34 @@ class GradientTruth:
     best_reward: float | None = None
 
     def angle(self, estimate: Array) -> float:
-        """Degrees between ∇η and an estimate of it; NaN where either has no direction."""
+        """Return the angle in degrees between ∇η and an estimate; NaN if either is zero."""
         return float(angle_between(self.gradient, estimate))
 
     @property
     def bias_angle(self) -> float:
-        """Degrees between ∇η and E[r z]: what no number of steps takes away."""
+        """The angle in degrees between ∇η and E[r z], which more steps do not reduce."""
         return self.angle(self.biased)
 
     def expected_angles(self, steps: Array) -> Array:
-        """Degrees to be expected of the mean of r z over so many steps, as `steps` in shape."""
+        """Return the expected angle in degrees of the mean of r z over `steps` steps.
+
+        The result has the shape of `steps`.
+        """
         return degrees_of(expected_cosine(self.gradient, self.biased, self.noise, steps))
 
 
 def expected_cosine(g: Array, m: Array, noise: Array, steps: Array | float) -> Array:
-    """cos = m·g / (|g| √(|m|² + Σ noise/T)) for each T of `steps`, m being E[r z], g being ∇η.
+    """Return m·g / (|g| √(|m|² + Σ noise/T)) for each T of `steps`, with m = E[r z] and g = ∇η.
 
-    The root is that of E|mean|² over T steps, T long against 1/(1 − β) and the mixing. NaN where
-    it or g is zero.
+    The root is √E|mean|² over T steps, for T ≫ 1/(1 − β) and the mixing time. The result is NaN
+    where the root or g is zero.
     """
-    spread = np.maximum(m @ m + noise.sum() / steps, 0.0)  # no noise may be less by rounding
+    spread = np.maximum(m @ m + noise.sum() / steps, 0.0)  # rounding may make zero noise negative
     return np.array(m @ g / _or_nan(np.linalg.norm(g) * np.sqrt(spread)))
 
 
 def angle_between(a: Array, b: Array) -> Array:
-    """Degrees from one vector (K,) to another, or to each of (K, n); NaN where one is zero."""
+    """Return the angle in degrees between a (K,) and b, (K,) or (K, n); NaN where one is zero."""
     lengths = np.linalg.norm(a) * np.linalg.norm(b, axis=0)
     return degrees_of(a @ b / _or_nan(lengths))
 
@@ -66,5 +69,5 @@ def _or_nan(lengths: Array) -> Array:
 
 
 def degrees_of(cosine: Array) -> Array:
-    """The angle of a cosine, which rounding may have put beyond ±1."""
+    """Return the angle in degrees of a cosine; values beyond ±1, due to rounding, are clipped."""
     return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))

@@ -1,18 +1,18 @@
-"""A finite Markov chain whose transition probabilities depend on parameters: all of it exact.
+"""A finite Markov chain whose transition probabilities depend on parameters, solved exactly.
 
 A finite POMDP under a policy is such a chain, and so is a network of neurons in a finite world.
-Nothing here is sampled and nothing is a finite difference; every figure is a linear solve.
+All values come from linear solves, without sampling or finite differences.
 
     π P = π                            the stationary distribution π(θ)
     η = π r                            equation (eta): the long-term average of the reward
     ∇η = π ∇P Z r,  Z = (I − P + 1π)⁻¹
-    E[r z] = π ∇P (I − βP)⁻¹ r         what direct reinforcement learning averages, at any β
+    E[r z] = π ∇P (I − βP)⁻¹ r         the mean of direct reinforcement learning, at any β
            = Σ_d β^d π ∇P P^d r        the same by delay: d steps from an act to its reward
 
-z is the eligibility trace of equation (zupdate), with the term of the act that led to the state
-whose reward it meets. E[r z] is Baxter and Bartlett's ∇_β η (2001, 'Infinite-horizon
-policy-gradient estimation'; the paper cites its Theorems 3, 4 and 6). As β → 1 it goes to ∇η. In
-it P may be less its limit 1π, since ∇P 1 = 0: so it is computed, without loss at β near 1.
+z is the eligibility trace of equation (zupdate); it includes the term of the act that led to the
+rewarded state. E[r z] is Baxter and Bartlett's ∇_β η (2001, 'Infinite-horizon policy-gradient
+estimation'; the paper cites its Theorems 3, 4 and 6) and tends to ∇η as β → 1. Since ∇P 1 = 0, P
+may be replaced by P − 1π in it; the code does so, to lose no precision at β near 1.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ Index = slice | NDArray[np.int64]
 ALL = slice(None)
 
 STILL_UNMIXED = 2**40
-"""Steps after which a chain is said not to mix at all; a periodic one never does."""
+"""A chain that has not mixed after this many steps is taken never to mix, like a periodic one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """P(θ) at one θ, with what its parameters do to it; S states and K parameters.
+    """P(θ) at one θ and its derivatives, for S states and K parameters.
 
-    `transition` (S, S) is P. `slope` (K, S, S) is ∇P, one matrix for each parameter: the
-    probability of a step times the mean of the score ∇μ/μ over the acts that make it.
-    `square` (K, S, S) is the same with the mean of the score's square; only `noise` needs it.
-    `reward` (S,) is r of the state a step leads to.
+    `transition` (S, S) is P. `slope` (K, S, S) is ∇P, one matrix per parameter: the probability of
+    a step times the mean score ∇μ/μ over the acts that cause it. `square` (K, S, S) is the same
+    with the mean squared score; only `noise` needs it. `reward` (S,) is r of the state that a step
+    leads to.
 
     Raises
     ------
     ValueError
-        If no state is reached from every state: then π and η depend on where the chain starts.
+        If no state is reachable from all states: π and η would depend on the initial state.
     """
 
     transition: Array
@@ -85,12 +85,12 @@ class Chain:
         return gradient
 
     def biased_gradient(self, beta: float) -> Array:
-        """E[r z] (K,) in the long run: the limit of GPOMDP, and of the rule's Δw/γ a step."""
+        """Return E[r z] (K,), the long-run limit of GPOMDP and of the rule's Δw/γ per step."""
         biased: Array = self._start @ self._resolvent(check_beta(beta)) @ self.reward
         return biased
 
     def gradient_by_delay(self, delays: int) -> Array:
-        """π ∇P P^d r for d = 0, 1, … (delays, K): what rewards d steps after an act say of it."""
+        """Return π ∇P P^d r for d = 0, 1, …, (delays, K): the part due to rewards d steps later."""
         terms, ahead = [], self.reward
         for _ in range(delays):
             terms.append(self._start @ ahead)
@@ -98,18 +98,18 @@ class Chain:
         return np.array(terms).reshape(delays, len(self.slope))
 
     def noise(self, beta: float) -> Array:
-        """The variance that r z adds a step, (K,): the mean of r z over T steps has noise/T.
+        """Return the noise (K,): the mean of r z over T steps has the variance noise/T.
 
-        That is for T long against 1/(1 − β) and the mixing time. It is Σ_n Cov(r_t z_t,
-        r_{t+n} z_{t+n}) over all n, from the moments of z in each state s,
+        This holds for T ≫ 1/(1 − β) and the mixing time. The noise is Σ_n Cov(r_t z_t,
+        r_{t+n} z_{t+n}) over all n. It follows from the moments of z in each state s,
 
             m = E[z; s] = β m P + π ∇P
-            q = E[z²; s] = β² q P + 2β m ∇P + π ∇²          ∇² the `square`
+            q = E[z²; s] = β² q P + 2β m ∇P + π ∇²          ∇² is `square`
 
-        and the sums over n ≥ 0 of E[r_t z_t; s_{t+n}] and E[r_t z_t z_{t+n}; s_{t+n}], each less
+        and the sums over n ≥ 0 of E[r_t z_t; s_{t+n}] and E[r_t z_t z_{t+n}; s_{t+n}], each minus
         its limit: A = (m r − cπ) Z and B = (q r − c m + A ∇P)(I − βP)⁻¹, where c = E[r z].
 
-        As β → 1 it grows like η² E[(∇μ/μ)²]/(1 − β)², and like 1/(1 − β) where η = 0.
+        As β → 1 the noise grows like η² E[(∇μ/μ)²]/(1 − β)², or like 1/(1 − β) if η = 0.
         """
         r, pi = self.reward, self.stationary
         m = self._start @ self._resolvent(check_beta(beta))
@@ -122,13 +122,13 @@ class Chain:
         return noise
 
     def expected_cosine(self, beta: float, *, steps: float, of: Index = ALL) -> float:
-        """How well the mean of r z over `steps` steps points along ∇η: m·g / (|g| √E|mean|²).
+        """Return how well the mean of r z over `steps` steps aligns with ∇η: m·g / (|g| √E|mean|²).
 
-        m is E[r z], g is ∇η, both of the parameters `of`. E|mean|² is taken to be |m|² +
-        Σ noise/steps, as it is for long averages, see `noise`; at any `steps` the formula weighs
-        bias against noise. Many steps, which may be infinitely many, show the bias alone; few show
-        the signal per noise, and the square then grows as `steps`. It is 0 where nothing is left
-        of the mean. Raises ValueError where ∇η is zero: it has no direction.
+        m is E[r z] and g is ∇η, both for the parameters `of`. E|mean|² is |m|² + Σ noise/steps,
+        which is exact for long averages, see `noise`; at any `steps` the formula weighs bias
+        against noise. For many steps (infinity is allowed) only the bias matters; for few steps
+        only the signal-to-noise ratio, and the square then grows in proportion to `steps`. The
+        result is 0 if the mean is zero. Raises ValueError if ∇η is zero and has no direction.
         """
         if not steps > 0:
             raise ValueError(f"steps must be above 0, got {steps}")
@@ -138,7 +138,7 @@ class Chain:
         return float(np.nan_to_num(expected_cosine(g, m, self.noise(beta)[of], steps)))
 
     def best_beta(self, *, steps: float, of: Index = ALL) -> float:
-        """The β of the largest `expected_cosine`, to 10⁻⁴, by a grid made finer four times."""
+        """Return the β of the largest `expected_cosine`, to 10⁻⁴, by four grid searches."""
         low, high = 0.0, 0.9999
         for _ in range(4):
             grid = np.linspace(low, high, 17)
@@ -149,10 +149,10 @@ class Chain:
 
     @cached_property
     def relaxation_time(self) -> float:
-        """1/(1 − |λ₂|) steps, λ₂ the eigenvalue of P next in size to 1; infinite if |λ₂| = 1.
+        """1/(1 − |λ₂|) steps, with λ₂ the second-largest eigenvalue of P; infinite if |λ₂| = 1.
 
-        The bound of Theorem 4 of Baxter and Bartlett (2001) on the bias of E[r z] is a multiple
-        of (1 − β)/(1 − β|λ₂|): small where 1/(1 − β) is large against this time.
+        Theorem 4 of Baxter and Bartlett (2001) bounds the bias of E[r z] by a multiple of
+        (1 − β)/(1 − β|λ₂|), which is small if 1/(1 − β) is much longer than this time.
         """
         sizes = np.sort(np.abs(np.linalg.eigvals(self.transition)))
         second = float(sizes[-2]) if len(sizes) > 1 else 0.0
@@ -179,37 +179,37 @@ class Chain:
 
     @cached_property
     def _start(self) -> Array:
-        """π ∇P, (K, S): how the parameters move the state one step ahead."""
+        """π ∇P, (K, S): the effect of the parameters on the state one step later."""
         return np.ascontiguousarray(self.stationary @ self.slope)
 
     def _ahead(self, rows: Array, beta: float) -> Array:
-        """Σ_d β^d rows P^d = rows (I − βP)⁻¹, (K, S).
+        """Return Σ_d β^d rows P^d = rows (I − βP)⁻¹, (K, S).
 
-        What the rows sum to is added up by itself, so that β near 1 costs no digits.
+        The sum of each row is treated separately, so β near 1 loses no precision.
         """
         stays = beta / (1.0 - beta) * rows.sum(axis=1, keepdims=True) * self.stationary
         ahead: Array = rows @ self._resolvent(beta) + stays
         return ahead
 
     def _resolvent(self, beta: float) -> Array:
-        """(I − β(P − 1π))⁻¹, (S, S); Z at β = 1."""
+        """Return (I − β(P − 1π))⁻¹, (S, S), which is Z at β = 1."""
         p = self.transition - self.stationary
         return np.array(np.linalg.inv(np.eye(len(p)) - beta * p))
 
 
 def _each(rows: Array, matrices: Array) -> Array:
-    """Row k times matrix k: (K, S) and (K, S, S) to (K, S)."""
+    """Multiply row k by matrix k: (K, S) and (K, S, S) to (K, S)."""
     product: Array = (rows[:, None, :] @ matrices)[:, 0]
     return product
 
 
 def _apart(power: Array) -> float:
-    """The largest total-variation distance between two rows."""
+    """Return the largest total-variation distance between two rows."""
     return max(float(0.5 * np.abs(power - row).sum(axis=1).max()) for row in power)
 
 
 def _has_one_class(transition: Array) -> bool:
-    """Whether some state is reached from every state, by squaring 'in one step or none'."""
+    """Whether some state is reachable from all states, by squaring 'in at most one step'."""
     reached = (transition > 0.0) | np.eye(len(transition), dtype=bool)
     for _ in range(len(transition).bit_length()):
         reached = reached.astype(np.float32) @ reached.astype(np.float32) > 0.0

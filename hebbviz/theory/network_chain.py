@@ -1,31 +1,31 @@
 """A network in a finite world as one exact Markov chain: η(w), ∇η(w) and E[r z] of every synapse.
 
-Section 4 of the paper taken at its word: the neurons are independent agents, and everything else,
-the activities of the step before included, is the world they act in. So a network of N neurons
-in a finite world is again a finite POMDP, with
+In section 4 of the paper the neurons are independent agents, and everything outside a neuron,
+including the activities of the previous step, is its world. A network of N neurons in a finite
+world is therefore again a finite POMDP, with
 
-    state         (a, x, y)   who fired, 2^N; the world's state; what is seen of it
-    observation   (a, y)      all that any neuron can see: activities of the step before
-    control       a'          who fires now, by Pr(u_i = 1) = σ(v_i), v = Σ_j w_j u^j
+    state         (a, x, y)   spikes of all neurons, 2^N; the world's state; its observation
+    observation   (a, y)      all that neurons can observe: activities of the previous step
+    control       a'          the new spikes, by Pr(u_i = 1) = σ(v_i), v = Σ_j w_j u^j
     next state    (a', x', y')  with x' ~ P(outputs of a'), y' ~ ν(x')
     reward        r(x')
 
-which is the engine's order of events: respond, the world answers, reinforce with r and the trace
-that holds this step's term, set the input. The policy's score is the eligibility term of equation
-(neuron-zupdate), so that `Chain.biased_gradient` is the long-run mean of r z in the learner, in
-the order of the topology's synapses.
+The order of events is the engine's: respond, let the world answer, reinforce with r and the trace
+that includes this step's term, set the input. The policy's score is the eligibility term of
+equation (neuron-zupdate), so `Chain.biased_gradient` is the long-run mean of r z in the learner,
+in the order of the topology's synapses.
 
-Delays. What a neuron d steps away from the outputs did reaches the reward d steps later, so E[r z]
-of its synapses is a sum from β^d on: at β = 0 it is zero for every neuron but the outputs, whatever
-∇η is. Where the pattern is held and the reward depends on the outputs of the step alone, nothing
-but delay d matters, in a layered network: E[r z] = β^d ∇η, in the right direction at every β > 0.
+Delays. A spike of a neuron d steps away from the outputs affects the reward d steps later, so
+E[r z] of its synapses starts at order β^d: at β = 0 it is zero for all neurons but the outputs,
+whatever ∇η is. If the pattern is constant, the reward depends only on the outputs of the step and
+the network is layered, only delay d contributes: E[r z] = β^d ∇η, the right direction at all β > 0.
 
-The best β there is a matter of noise. With a reward of mean m and variance v, a hidden synapse has
-its largest signal per noise near the maximum of β²/(m²/(1−β)² + v/(1−β²)). That is 0.5, as the
-paper says, for a reward that hardly varies about a mean other than zero: then the noise is that
-of the whole trace, 1/(1−β), and the share (1−β) β of it is what matters. For the paper's sonar
-rewards, 0 or 1, it is 0.54 at chance and 0.506 at 10 % error; for ±1 at chance it is 1/√2 = 0.707.
-For synapses d steps away it is d/(d + 1) in place of 1/2. `Chain.best_beta` finds it exactly.
+The best β then depends on noise. With a reward of mean m and variance v, a hidden synapse has its
+largest signal-to-noise ratio near the maximum of β²/(m²/(1−β)² + v/(1−β²)). This is 0.5, as the
+paper says, if the reward hardly varies about a nonzero mean: the noise is then that of the whole
+trace, 1/(1−β), of which the share (1−β) β carries the signal. For the paper's sonar rewards, 0 or
+1, it is 0.54 at chance level and 0.506 at 10 % error; for ±1 at chance level it is 1/√2 = 0.707.
+For synapses d steps away it is d/(d + 1) instead of 1/2. `Chain.best_beta` finds it exactly.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ MOST_NUMBERS = 2**24
 
 
 class NetworkPolicy:
-    """All neurons as one agent: μ_a(o, w) is the product of σ(v) or σ(−v) by who fires in a.
+    """All neurons as one agent: μ_a(o, w) is the product of σ(v) or σ(−v), by the spikes in a.
 
-    `seen` (O, units) holds the activities of all units in each of its O observations, inputs
-    first; parameters are the synapses, in the topology's order. `fired` (N, 2^N) says who fires
-    in each control, neuron i being worth 2^i; `post` and `pre` (K,) are each synapse's neuron
-    and presynaptic unit.
+    `seen` (O, units) holds the activities of all units in each of the O observations, inputs
+    first; the parameters are the synapses, in the topology's order. `fired` (N, 2^N) holds the
+    spikes of each control, to which neuron i adds 2^i; `post` and `pre` (K,) are each synapse's
+    neuron and presynaptic unit.
     """
 
     def __init__(self, topology: Topology, vectors: Array) -> None:
@@ -67,7 +67,7 @@ class NetworkPolicy:
         return len(self.post)
 
     def potentials(self, weights: Array) -> Array:
-        """Equation (potential) for every neuron, (O, N)."""
+        """Return v of every neuron, (O, N): equation (potential)."""
         matrix = np.zeros((len(self.fired), self.seen.shape[1]))
         matrix[self.post, self.pre] = weights
         return self.seen @ matrix.T
@@ -78,23 +78,23 @@ class NetworkPolicy:
         return mu
 
     def score(self, weights: Array) -> Array:
-        """(fired − σ(v)) u^j, the eligibility terms, (O, 2^N, K)."""
+        """Return the eligibility terms (fired − σ(v)) u^j, (O, 2^N, K)."""
         surprise = self.fired.T - sigma(self.potentials(weights))[:, None, :]
         return np.array(surprise[:, :, self.post] * self.seen[:, None, self.pre])
 
 
 class ExactNetwork:
-    """A topology in a finite world: `at` gives the chain for any weights.
+    """A network in a finite world: `at` gives the chain for any weights.
 
-    The observations of the `world` are shown as `vectors` (Y, inputs); its control is the outputs'
-    joint activity, output i being worth 2^i. `pomdp` is the world as the neurons together see it,
-    `policy` what they do in it. Its state number is a·M + m, where m counts the M `pairs` (x, y)
-    that are possible.
+    `vectors` (Y, inputs) gives the inputs of each observation of the `world`; the control is the
+    outputs' joint activity, to which output i adds 2^i. `pomdp` is the world that the neurons act
+    in together, `policy` their joint policy. Its state number is a·M + m, where m counts the M
+    possible `pairs` (x, y).
 
     Raises
     ------
     ValueError
-        If the topology does not fit the world, or together they have too many states.
+        If the topology does not fit the world, or if the chain would have too many states.
     """
 
     def __init__(self, world: POMDP, vectors: Array, topology: Topology) -> None:
@@ -111,14 +111,17 @@ class ExactNetwork:
         if 2 ** (3 * t.neurons) * len(self.pairs) ** 2 > MOST_NUMBERS:
             raise ValueError(
                 f"{t.neurons} neurons and {len(self.pairs)} states of the world make a table of "
-                f"2^{3 * t.neurons} × {len(self.pairs)}² numbers, the most is {MOST_NUMBERS:,}; "
-                "take fewer neurons"
+                f"2^{3 * t.neurons} × {len(self.pairs)}² numbers, at most {MOST_NUMBERS:,} are "
+                "allowed; take fewer neurons"
             )
         self.policy = NetworkPolicy(t, vectors)
         self.pomdp = self._pomdp()
 
     def at(self, weights: Array) -> Chain:
-        """The chain for `weights` (synapses,), in the topology's order; raises ValueError."""
+        """Return the chain for `weights` (synapses,), in the topology's order.
+
+        Raises ValueError if the weights have another shape or are not finite.
+        """
         if weights.shape != (self.topology.synapses,) or not np.isfinite(weights).all():
             raise ValueError(
                 f"weights must be finite and of shape ({self.topology.synapses},), "
@@ -127,7 +130,7 @@ class ExactNetwork:
         return self.pomdp.under(self.policy, weights)
 
     def synapses_onto(self, group: str) -> Whole:
-        """The numbers of all synapses onto the neurons of a group."""
+        """Return the numbers of all synapses onto the neurons of a group."""
         neurons = self.topology.neurons_of(group)
         post = self.policy.post
         return np.flatnonzero((neurons.start <= post) & (post < neurons.stop))
@@ -151,7 +154,7 @@ class ExactNetwork:
 
 
 def _ends(topology: Topology) -> tuple[Whole, Whole]:
-    """The neuron and the presynaptic unit of every synapse, in the topology's order."""
+    """Return the neuron and the presynaptic unit of every synapse, in the topology's order."""
     ends = []
     for p in topology.projections:
         first = np.array([[topology.neurons_of(p.post).start], [topology.first_unit(p.pre)]])

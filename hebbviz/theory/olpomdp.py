@@ -1,10 +1,10 @@
-"""Direct reinforcement learning, as section 2 of the paper has it: any policy, any agent.
+"""Direct reinforcement learning with any policy, as in section 2 of the paper.
 
     z_{t+1} = β z_t + ∇μ_{u_t}(y_t, θ) / μ_{u_t}(y_t, θ)        equation (zupdate)
     θ_{t+1} = θ_t + γ r_{t+1} z_{t+1}                           equation (update)
 
-The reward r_{t+1} is that of the state which control u_t led to, so it meets a trace that holds
-the term of u_t: as in Baxter and Bartlett's GPOMDP, and as in the network's rule.
+The reward r_{t+1} belongs to the state that control u_t led to, and multiplies a trace that
+includes the term of u_t, as in Baxter and Bartlett's GPOMDP and in the network's rule.
 
 OLPOMDP moves θ at every step. GPOMDP leaves θ alone and averages r z, an estimate of ∇η whose
 limit is `Chain.biased_gradient` and whose variance is `Chain.noise` divided by the steps.
@@ -24,9 +24,10 @@ Whole = NDArray[np.int64]
 
 
 class Agent:
-    """One agent: a policy, its parameters θ (K,), its trace z (K,), and the two equations.
+    """An agent: a policy, its parameters θ (K,), its trace z (K,), and the two equations.
 
-    It knows what it sees, what it did, and the reward; nothing of other agents or of the state.
+    It knows its observations, its controls and the reward, but neither the state nor other agents.
+    Raises ValueError if θ has another shape, or β or γ is out of range.
     """
 
     def __init__(self, policy: Policy, theta: Array, *, beta: float, gamma: float) -> None:
@@ -38,20 +39,20 @@ class Agent:
         self.beta, self.gamma = check_beta(beta), check_gamma(gamma)
 
     def choose(self, y: int, draw: float) -> int:
-        """A control for observation y, from a uniform draw in (0, 1)."""
+        """Return a control for observation y, given a uniform draw in (0, 1)."""
         return _drawn(self.policy.probabilities(self.theta)[y], draw)
 
     def remember(self, y: int, u: int) -> None:
-        """Equation (zupdate), after control u was chosen for observation y."""
+        """Update the trace after control u was chosen for observation y: equation (zupdate)."""
         self.trace = self.beta * self.trace + self.policy.score(self.theta)[y, u]
 
     def reinforce(self, reward: float) -> None:
-        """Equation (update), with the reward that followed."""
+        """Update θ with the reward that followed: equation (update)."""
         self.theta = self.theta + self.gamma * reward * self.trace
 
 
 def olpomdp(world: POMDP, agent: Agent, *, steps: int, seed: int, start: int = 0) -> Array:
-    """Let the agent learn for `steps` steps from state `start`; the rewards, (steps,)."""
+    """Let the agent learn for `steps` steps from state `start`; return the rewards, (steps,)."""
     draws = np.random.default_rng(seed).random((check_steps(steps), 3))
     rewards, x = np.empty(steps), start
     for t, (of_sight, of_control, of_state) in enumerate(draws):
@@ -67,9 +68,9 @@ def olpomdp(world: POMDP, agent: Agent, *, steps: int, seed: int, start: int = 0
 def gpomdp(
     world: POMDP, policy: Policy, theta: Array, *, beta: float, steps: int, runs: int, seed: int
 ) -> Array:
-    """The mean of r z over `steps` steps in each of `runs` independent runs, (runs, K).
+    """Return the mean of r z over `steps` steps in each of `runs` independent runs, (runs, K).
 
-    All runs go on together; each starts in a state of its own, with z = 0.
+    The runs advance together; each starts in its own random state, with z = 0.
     """
     check_beta(beta)
     if runs < 1 or check_steps(steps) < 1:
@@ -96,6 +97,9 @@ def _drawn(probabilities: Array, draw: float) -> int:
 
 
 def _first_above(cumulative: Array, draws: Array) -> Whole:
-    """In each row of sums (n, m) the first place above the draw; rounding cannot run past it."""
+    """Return the first index above the draw in each row of cumulative sums (n, m).
+
+    The last index is the default, so rounding cannot exceed it.
+    """
     places: Whole = (cumulative[:, :-1] <= draws[:, None]).sum(axis=1)
     return places

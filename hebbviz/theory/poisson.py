@@ -1,4 +1,4 @@
-"""How well a count of chance events tells their rate: exact 95 % intervals of a Poisson count."""
+"""Exact 95 % confidence intervals of Poisson counts, and of mean times to an event."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from numpy.typing import NDArray
 
 CONFIDENCE = 0.95
 NONE_SEEN = -math.log(1.0 - CONFIDENCE)
-"""2.996: where no event was seen, fewer than so many were expected, with 95 % confidence."""
+"""2.996: if no event was seen, fewer than this were expected, with 95 % confidence."""
 
 _HALVINGS = 48
 _TERMS = 9.0
-"""Terms of a tail, in roots of the count: those beyond are below a double's last digit."""
+"""Terms of a tail, in square roots of the count; further terms are below double precision."""
 
 
 @lru_cache(maxsize=65_536)
 def expected_events(count: int) -> tuple[float, float]:
-    """The 95 % interval (low, high) for the mean of a Poisson variable that came out as `count`.
+    """Return the 95 % interval (low, high) of a Poisson variable's mean, given one `count`.
 
-    For one event or more it is two-sided (Garwood 1936): at either end the count, or one farther
-    out, has a probability of 2.5 %. For none it is one-sided, from 0 to −ln 0.05, as no lower end
-    can be told; both kinds together hold in at least 92.5 % of all cases.
+    For at least one event it is two-sided (Garwood 1936): at either end, the count or a more
+    extreme one has a probability of 2.5 %. Without an event it is one-sided, from 0 to −ln 0.05,
+    because no lower end can be known. Used together, the two kinds cover at least 92.5 %.
     """
     if count == 0:
         return 0.0, NONE_SEEN
@@ -41,28 +41,28 @@ def expected_events(count: int) -> tuple[float, float]:
 
 
 def time_to_event(time: float, count: int) -> tuple[float, float]:
-    """The 95 % interval for the mean time to an event, after `count` of them in a `time`.
+    """Return the 95 % interval of the mean time to an event, after `count` events in `time`.
 
-    It holds for events that come by chance, at a constant rate. With none seen, the mean time is
-    over time/2.996, and no upper end is known: infinity.
+    It assumes independent events at a constant rate. Without an event the interval is from
+    time/2.996 to infinity. Both ends have the unit of `time`.
     """
     low, high = expected_events(count)
     return time / high, time / low if low else math.inf
 
 
 def _or_more(count: int, mean: float) -> float:
-    """P(X ≥ count), for a mean below the count."""
+    """Return P(X ≥ count) for a mean below the count."""
     return _likelihood(count, mean) * _series(mean / (count + np.arange(1.0, _terms(count))))
 
 
 def _or_fewer(count: int, mean: float) -> float:
-    """P(X ≤ count), for a mean above the count."""
+    """Return P(X ≤ count) for a mean above the count."""
     down = np.maximum(count - np.arange(_terms(count)), 0.0)
     return _likelihood(count, mean) * _series(down / mean)
 
 
 def _series(ratios: NDArray[np.float64]) -> float:
-    """1 + r₁ + r₁r₂ + …"""
+    """Return 1 + r₁ + r₁r₂ + …"""
     return 1.0 + float(np.cumprod(ratios).sum())
 
 

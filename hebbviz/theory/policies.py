@@ -1,11 +1,11 @@
 """Randomized policies of finitely many observations and controls, and their scores.
 
-A policy gives μ_u(y, θ), the probability of control u when y is seen, and the score
+A policy gives μ_u(y, θ), the probability of control u at observation y, and the score
 
     ∇μ_u(y, θ) / μ_u(y, θ)  =  ∇ log μ_u(y, θ)
 
-which is all that equation (zupdate) needs to know of it. Both come as tables over every
-observation and control: Y observations, U controls, K parameters.
+which is all that equation (zupdate) needs. Both are tables over Y observations and U controls, for
+K parameters.
 """
 
 from __future__ import annotations
@@ -24,23 +24,24 @@ Whole = NDArray[np.int64]
 
 
 class Policy(Protocol):
-    """A parameterized randomized policy, its tables functions of θ (K,)."""
+    """A parameterized randomized policy; its tables are functions of θ (K,)."""
 
     @property
     def parameters(self) -> int:
         """K, the size of θ."""
 
     def probabilities(self, theta: Array) -> Array:
-        """μ_u(y, θ), (Y, U); every row sums to 1."""
+        """Return μ_u(y, θ), (Y, U); every row sums to 1."""
 
     def score(self, theta: Array) -> Array:
-        """∇μ_u(y, θ) / μ_u(y, θ), (Y, U, K)."""
+        """Return ∇μ_u(y, θ) / μ_u(y, θ), (Y, U, K)."""
 
 
 class Gibbs:
-    """μ_u(y, θ) = exp(θ·φ(y, u)) / Σ_a exp(θ·φ(y, a)), with `features` φ (Y, U, K).
+    """The soft-max policy μ_u(y, θ) = exp(θ·φ(y, u)) / Σ_a exp(θ·φ(y, a)).
 
-    Its score is φ(y, u) − Σ_a μ_a(y, θ) φ(y, a).
+    `features` (Y, U, K) holds φ. The score is φ(y, u) − Σ_a μ_a(y, θ) φ(y, a). Raises ValueError
+    unless the features are finite and have three axes.
     """
 
     def __init__(self, features: Array) -> None:
@@ -53,12 +54,12 @@ class Gibbs:
 
     @classmethod
     def table(cls, observations: int, controls: int) -> Gibbs:
-        """One parameter for each observation and control: every policy is in reach."""
+        """Make a policy with one parameter per observation and control, fully general."""
         return cls(np.eye(observations * controls).reshape(observations, controls, -1))
 
     @classmethod
     def linear(cls, seen: Array, controls: int) -> Gibbs:
-        """A weight for each control and feature, θ_u·seen(y), with `seen` (Y, features)."""
+        """Make a policy with φ·θ = θ_u·seen(y), for `seen` (Y, features)."""
         features = np.einsum("yf,ua->yuaf", seen, np.eye(controls))
         return cls(features.reshape(len(seen), controls, -1))
 
@@ -78,10 +79,11 @@ class Gibbs:
 
 
 class Neuron:
-    """The paper's neuron: it fires, u = 1, with probability σ(v), v = Σ_j w_j u^j.
+    """The paper's neuron: it fires, u = 1, with probability σ(v), where v = Σ_j w_j u^j.
 
-    Observation y is row y of `inputs` (Y, K), the activities u^j of its presynaptic side; θ are
-    its K synaptic strengths. Its score is (u − σ(v)) u^j, the term of (neuron-zupdate).
+    Observation y is row y of `inputs` (Y, K), the presynaptic activities u^j; θ holds its K
+    synaptic weights. The score is (u − σ(v)) u^j, the term of equation (neuron-zupdate). Raises
+    ValueError unless the inputs are finite and have two axes.
     """
 
     def __init__(self, inputs: Array) -> None:
@@ -106,13 +108,15 @@ class Neuron:
 
 @dataclass(frozen=True, eq=False)
 class Independent:
-    """n independent agents seen as a single one: the combined agent of the paper's Theorem 1.
+    """n independent agents as a single policy: the combined agent of the paper's Theorem 1.
 
-    Agent i has a policy `agents[i]` and sees y^i = `sees[i, y]` of the joint observation y;
-    `sees` (n, Y). θ is the concatenation of the agents' θ^i; the joint control is the number
-    u = u^1 + U_1 (u^2 + U_2 (u^3 + …)). Given y the agents choose independently:
+    Agent i has the policy `agents[i]` and observes y^i = `sees[i, y]`, where y is the joint
+    observation and `sees` has shape (n, Y). θ concatenates the agents' θ^i; the joint control is
+    u = u^1 + U_1 (u^2 + U_2 (u^3 + …)). Given y, the agents choose independently:
 
         μ_u(y, θ) = Π_i μ_{u^i}(y^i, θ^i)
+
+    Raises ValueError if there is no agent, or if `sees` has another shape.
     """
 
     agents: tuple[Policy, ...]
@@ -120,7 +124,7 @@ class Independent:
 
     def __post_init__(self) -> None:
         if not self.agents:
-            raise ValueError("independent agents must be at least one, got none")
+            raise ValueError("there must be at least one independent agent, got none")
         if self.sees.ndim != 2 or len(self.sees) != len(self.agents):
             raise ValueError(
                 f"sees must be of shape ({len(self.agents)} agents, observations), "
@@ -132,12 +136,12 @@ class Independent:
         return sum(agent.parameters for agent in self.agents)
 
     def parts(self, theta: Array) -> list[Array]:
-        """θ as the agents' own θ^i."""
+        """Split θ into the agents' θ^i."""
         ends = np.cumsum([agent.parameters for agent in self.agents])
         return np.split(theta, ends[:-1])
 
     def controls(self, theta: Array) -> Whole:
-        """The agents' own controls u^i for each joint control u, (n, U)."""
+        """Return the agents' controls u^i for each joint control u, (n, U)."""
         return mixed_digits([len(p[0]) for p in self._own(theta)])
 
     def probabilities(self, theta: Array) -> Array:
@@ -160,7 +164,7 @@ class Independent:
 
 
 def mixed_digits(sizes: Sequence[int]) -> Whole:
-    """The digits of 0, 1, 2, … in the mixed base `sizes`, the first the fastest; (n, product)."""
+    """Return the digits of 0, 1, 2, … in the mixed base `sizes`, (n, product), first fastest."""
     places = np.cumprod([1, *sizes])
     numbers = np.arange(places[-1])
     return np.array([numbers // p % s for p, s in zip(places[:-1], sizes, strict=True)])

@@ -1,15 +1,15 @@
 """Finite partially observable Markov decision processes: section 2 of the paper.
 
-    x_t → y_t ~ ν(x_t)          what is seen of the state
-    y_t → u_t ~ μ(y_t, θ)       what the agent does
+    x_t → y_t ~ ν(x_t)          observation of the state
+    y_t → u_t ~ μ(y_t, θ)       control by the agent
     x_{t+1} ~ row x_t of P(u_t)
-    r_{t+1} = r(x_{t+1})        received in the state that the control led to
+    r_{t+1} = r(x_{t+1})        reward in the state that the control led to
 
 Under a policy the states are a Markov chain with
 
     P(θ)_ij = Σ_y ν_y(i) Σ_u μ_u(y, θ) p_ij(u)
 
-whose average reward, gradient and mixing time `markov_chain.py` gives exactly.
+`markov_chain.py` gives its average reward, gradient and mixing time exactly.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hebbviz.theory.policies import Gibbs, Policy
 Array = NDArray[np.float64]
 
 ROUNDING = 1e-9
-"""How far from 1 a row of probabilities may sum."""
+"""Largest deviation of a probability row's sum from 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class POMDP:
     Raises
     ------
     ValueError
-        If shapes do not fit, a number is not finite, or a row is no probability distribution.
+        If shapes do not fit, a number is not finite, or a row is not a probability distribution.
     """
 
     transitions: Array
@@ -66,14 +66,14 @@ class POMDP:
 
     @property
     def sights(self) -> int:
-        """Y, how many different observations there are."""
+        """Y, the number of different observations."""
         return int(self.observations.shape[1])
 
     def under(self, policy: Policy, theta: Array) -> Chain:
-        """The chain of the states when `policy` acts with parameters θ (K,).
+        """Return the chain of states under `policy` with parameters θ (K,).
 
-        Raises ValueError if the policy's observations and controls are not this world's, or if
-        the average reward depends on the start (see `Chain`).
+        Raises ValueError if the policy does not fit this world's observations and controls, or if
+        the average reward depends on the initial state (see `Chain`).
         """
         mu, score = policy.probabilities(theta), policy.score(theta)
         if mu.shape != (self.sights, self.controls):
@@ -86,10 +86,10 @@ class POMDP:
         return Chain(transition, slope, square, self.rewards)
 
     def lazy(self, stays: float) -> POMDP:
-        """The same world, but that each step is undone with probability `stays` in [0, 1).
+        """Return a world that keeps its state with probability `stays` in [0, 1) at each step.
 
-        Under every policy it has the same π and η, and the eigenvalue stays + (1 − stays) λ for
-        each λ of P: the gap 1 − λ is 1 − stays times as wide.
+        Under every policy π and η are the same, and each eigenvalue λ of P becomes
+        stays + (1 − stays) λ: the gap 1 − λ shrinks by the factor 1 − stays.
         """
         if not 0.0 <= stays < 1.0:
             raise ValueError(f"stays must be in [0, 1), got {stays}")
@@ -97,18 +97,18 @@ class POMDP:
         return POMDP(slower, self.observations, self.rewards)
 
     def _by_step(self, weights: Array) -> Array:
-        """Σ_y ν_y(i) Σ_u weights(y, u, k) p_ij(u), from (Y, U, K) to (K, S, S)."""
+        """Return Σ_y ν_y(i) Σ_u weights(y, u, k) p_ij(u), from (Y, U, K) to (K, S, S)."""
         by_state = np.tensordot(self.observations, weights, axes=1)
         steps = by_state.transpose(0, 2, 1) @ self.transitions.transpose(1, 0, 2)
         return steps.transpose(1, 0, 2)
 
 
 def three_state_chain() -> tuple[POMDP, Gibbs]:
-    """The three-state world of Baxter and Bartlett, and their soft-max policy of 4 weights.
+    """Make the three-state world of Baxter and Bartlett and their soft-max policy of 4 weights.
 
-    From 'Infinite-horizon policy-gradient estimation' and its companion 'Experiments with
-    infinite-horizon, policy-gradient estimation' (2001). States A, B, C; the reward is 1 in C,
-    and else 0; the best average reward, 0.8, is that of always choosing the second control.
+    Source: 'Infinite-horizon policy-gradient estimation' and its companion 'Experiments with
+    infinite-horizon, policy-gradient estimation' (2001). The states are A, B, C; the reward is 1
+    in C and 0 elsewhere. Always choosing the second control gives the best average reward, 0.8.
     """
     first = [[0.0, 0.8, 0.2], [0.8, 0.0, 0.2], [0.0, 0.8, 0.2]]
     second = [[0.0, 0.2, 0.8], [0.2, 0.0, 0.8], [0.0, 0.2, 0.8]]

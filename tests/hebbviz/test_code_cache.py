@@ -152,5 +152,5 @@ def test_without_the_compiler_it_is_said_in_one_line_that_nothing_runs() -> None
         cwd=ROOT, env=env, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (2, "")
-    why = "NUMBA_DISABLE_JIT is set, and no network runs without the compiler: unset it"
+    why = "NUMBA_DISABLE_JIT is set, but no network runs without the compiler: unset it"
     assert done.stderr == f"hebbviz: {why}\n"

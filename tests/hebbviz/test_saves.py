@@ -175,7 +175,7 @@ def rewritten(path, **entries):
 
 def test_a_newer_format_is_told(path):
     rewritten(path, format=FORMAT + 1)
-    with pytest.raises(BadFile, match=r"of format 3, newer than this hebbviz knows \(2\)"):
+    with pytest.raises(BadFile, match=r"has format 3, newer than this hebbviz knows \(2\)"):
         load(path, make_task)
 
 

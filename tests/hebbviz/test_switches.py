@@ -58,7 +58,7 @@ def test_a_setting_has_one_name_and_that_makes_it_again(spec: str, name: str, on
 
 @pytest.mark.parametrize("preset", ["best:centred", "best:Centred=yes", ":centred=yes"])
 def test_only_what_is_spelled_well_is_taken(preset: str) -> None:
-    with pytest.raises(UnknownPreset, match=r"task 'sonar' has no|is set to yes or no"):
+    with pytest.raises(UnknownPreset, match=r"task 'sonar' has no|must be yes or no"):
         Sonar(preset)
 
 

@@ -139,7 +139,7 @@ def npz_bombs(folder: Path) -> dict[str, str]:
     save(folder / "network.npz", header | {"topology": topology | {"groups": groups}}, arrays)
     return {
         "packed.npz": "or it is damaged", "claims.npz": "or it is damaged",
-        "network.npz": "it holds less than its network",
+        "network.npz": "its arrays are too small for its network",
     }  # fmt: skip
 
 

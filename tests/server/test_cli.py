@@ -180,7 +180,7 @@ BAD: dict[str, str] = {
     "--preset nope": "no preset 'nope'; choose from baseline, quick, raw, paper, literal",
     "--preset quick:gains=no": "has no switch 'gains'; it has none",
     "--task sonar --preset best:mean=no": "has no switch 'mean'; it has centred",
-    "--task sonar --preset best:centred=2": "centred, which is set to yes or no, not to '2'",
+    "--task sonar --preset best:centred=2": "centred, which must be yes or no, got '2'",
     "--task sonar --preset worst:centred=no": "no preset 'worst'; choose from quick, paper, best",
     "--beta 1": "beta must be in [0, 1), got 1.0",
     "--beta -0.1": "beta must be in [0, 1), got -0.1",

@@ -269,7 +269,7 @@ def test_a_compiled_task_with_clamps_is_refused():
     """They would be asked for at the start alone."""
     check_attributes(Compiled)
     check_compiled(Compiled)
-    with pytest.raises(ValueError, match=r"^task 'good' is compiled, so its clamps are not asked"):
+    with pytest.raises(ValueError, match=r"^task 'good' is compiled, so its clamps would never"):
         Learner(Clamping())
     with pytest.raises(AssertionError, match="has no clamps"):
         check_attributes(Clamping)
