@@ -3,6 +3,7 @@
 from hebbviz.task.base import (
     CompiledTask,
     Control,
+    Evaluable,
     Input,
     Measure,
     Output,
@@ -16,6 +17,6 @@ from hebbviz.task.base import (
 from hebbviz.task.presets import Preset
 
 __all__ = [
-    "CompiledTask", "Control", "Input", "Measure", "Output", "Pose", "Preset", "Prop", "Reading",
-    "Score", "Tally", "Task",
+    "CompiledTask", "Control", "Evaluable", "Input", "Measure", "Output", "Pose", "Preset", "Prop",
+    "Reading", "Score", "Tally", "Task",
 ]  # fmt: skip

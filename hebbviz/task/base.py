@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ from hebbviz.theory.poisson import time_to_event
 from hebbviz.topology import SYMMETRIC, Activity, Topology, feedforward
 
 if TYPE_CHECKING:
-    from hebbviz.learner.learner import Learner
     from hebbviz.theory.exact_gradient import GradientTruth
 
 Array = NDArray[np.float64]
@@ -180,6 +179,33 @@ class Control:
     key: str | None = None
 
 
+class Evaluable(Protocol):
+    """The part of a `Learner` that `Task.evaluate` and `Task.results` use."""
+
+    watch: int
+
+    @property
+    def lanes(self) -> int:
+        """Number of lanes."""
+
+    @property
+    def weights(self) -> Array:
+        """Weights w, (synapses, lanes)."""
+
+    @property
+    def world(self) -> Array:
+        """State of the task, (numbers, lanes)."""
+
+    def place(self, world: Array) -> None:
+        """Set the state of the task, (numbers, lanes)."""
+
+    def skip_tallied(self, steps: int) -> list[Tally]:
+        """Run `steps` steps and return their totals in each lane."""
+
+    def frozen_copy(self, task: Task | None = None) -> Evaluable:
+        """Return a copy that does not learn, in `task` or in its own."""
+
+
 class Task:
     """A world to learn in. Subclass it; the README has a worked example.
 
@@ -305,10 +331,6 @@ class Task:
         Check what compiled code uses unchecked, such as an index into a table.
         """
 
-    def in_lanes(self) -> Task:
-        """Return the compiled version of the world for many lanes, by default the task itself."""
-        return self
-
     # What is seen of it
 
     def pose(self, state: Array) -> Pose:
@@ -336,7 +358,7 @@ class Task:
         """Return the measure over the steps of a tally."""
         return Score(tally.average_reward)
 
-    def evaluate(self, learner: Learner) -> dict[str, Array]:
+    def evaluate(self, learner: Evaluable) -> dict[str, Array]:
         """Return the measure's figures by key, (lanes,) each, of a frozen copy over 100 000 steps.
 
         The copy runs separately; the learner does not change.
@@ -345,7 +367,7 @@ class Task:
         figures = [self.measure.figures(self.score(t)) for t in tallies]
         return {key: np.array([f[key] for f in figures]) for key in self.measure.keys}
 
-    def results(self, learner: Learner, late: Tally) -> dict[str, float]:
+    def results(self, learner: Evaluable, late: Tally) -> dict[str, float]:
         """Return the figures that `hebbviz train` prints; `late` covers the last fifth of a run."""
         return self.measure.figures(self.score(late))
 

@@ -21,6 +21,7 @@ from hebbviz.learner.learner import Learner
 from hebbviz.numerics.counter_rng import FIRST_EPISODE, Draws
 from hebbviz.reference import Reference
 from hebbviz.sims.experiments.workers import core_count
+from hebbviz.sims.loading import compiled_twin
 from hebbviz.sims.worlds.pendulum.task import Pendulum
 from hebbviz.sims.worlds.sonar import Sonar
 from hebbviz.task.base import Task
@@ -161,7 +162,7 @@ def pendulums() -> Iterator[Contestant]:
     world = Pendulum("raw")
     yield lanes(world, "pymunk", "pendulum, in pymunk", 1)
     words = f"pendulum, compiled, {LANES} lanes, float32"
-    yield lanes(world.in_lanes(), "pendulum_lanes", words, LANES, dtype=np.float32)
+    yield lanes(compiled_twin(world), "pendulum_lanes", words, LANES, dtype=np.float32)
 
 
 def reference(task: Task, key: str, name: str) -> Contestant:

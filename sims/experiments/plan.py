@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import hebbviz
 from hebbviz.learner.learner import Learner
 from hebbviz.rules.base import Rule
-from hebbviz.sims.loading import load_rule, make_task
+from hebbviz.sims.loading import compiled_twin, load_rule, make_task
 from hebbviz.sims.user_file import neighbours, own_file, own_files
 from hebbviz.task.base import Tally, Task
 
@@ -76,7 +76,7 @@ class Plan:
         """The task at its preset, compiled where it can be; raises ValueError and TaskError as
         `make_task` does.
         """
-        return make_task(self.task, self.preset).in_lanes()
+        return compiled_twin(make_task(self.task, self.preset))
 
     def rule(self) -> Rule:
         """The rule of the options, or of the task's preset; raises as `load_rule`, `make_task`."""

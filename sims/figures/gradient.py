@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.learner.learner import Learner
 from hebbviz.sims.experiments import Curves, Plan
 from hebbviz.sims.experiments.statistics import deviation_of
 from hebbviz.sims.figures import palette
@@ -35,7 +34,7 @@ from hebbviz.sims.figures.sheet import (
     mark_end,
 )
 from hebbviz.sims.worlds.lamps import Lamps, small_example
-from hebbviz.task.base import Task
+from hebbviz.task.base import Evaluable, Task
 from hebbviz.theory.exact_gradient import GradientTruth, angle_between, degrees_of
 
 if TYPE_CHECKING:
@@ -77,7 +76,7 @@ class Watched(Lamps):
     def initial_weights(self, draws: Array) -> Array:
         return self._weights.copy()
 
-    def evaluate(self, learner: Learner) -> dict[str, Array]:
+    def evaluate(self, learner: Evaluable) -> dict[str, Array]:
         """The angle from Δw, which is γ t times the mean of r z, to ∇η in degrees, and the length
         of Δw, each (lanes,).
 

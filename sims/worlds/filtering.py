@@ -20,10 +20,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.learner.learner import Learner
 from hebbviz.sims.worlds import strip_chart
 from hebbviz.sims.worlds.strip_chart import Row
-from hebbviz.task.base import Input, Measure, Output, Pose, Prop, Reading, Tally
+from hebbviz.task.base import Evaluable, Input, Measure, Output, Pose, Prop, Reading, Tally
 from hebbviz.task.finite import NOTHING, FiniteWorld
 from hebbviz.task.presets import Preset
 from hebbviz.theory.pomdp import POMDP
@@ -93,11 +92,11 @@ class Filtering(FiniteWorld):
         )
         return replace(layers, projections=(*layers.projections, *loops))
 
-    def evaluate(self, learner: Learner) -> dict[str, Array]:
+    def evaluate(self, learner: Evaluable) -> dict[str, Array]:
         others = {name: np.full(learner.lanes, value) for name, value in _references().items()}
         return super().evaluate(learner) | others
 
-    def results(self, learner: Learner, late: Tally) -> dict[str, float]:
+    def results(self, learner: Evaluable, late: Tally) -> dict[str, float]:
         """Shares of right answers: of the learner, of what is seen, and of the Bayes filter."""
         return super().results(learner, late) | _references()
 

@@ -24,10 +24,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.learner.learner import Learner
 from hebbviz.sims.worlds import strip_chart
 from hebbviz.sims.worlds.strip_chart import Row
-from hebbviz.task.base import Input, Measure, Output, Pose, Prop, Reading, Tally
+from hebbviz.task.base import Evaluable, Input, Measure, Output, Pose, Prop, Reading, Tally
 from hebbviz.task.finite import NOTHING, FiniteWorld
 from hebbviz.task.presets import Preset
 from hebbviz.theory.pomdp import POMDP
@@ -120,11 +119,11 @@ class Prediction(FiniteWorld):
             return layers
         return replace(layers, projections=(*layers.projections, direct))
 
-    def evaluate(self, learner: Learner) -> dict[str, Array]:
+    def evaluate(self, learner: Evaluable) -> dict[str, Array]:
         others = {name: np.full(learner.lanes, value) for name, value in _references().items()}
         return super().evaluate(learner) | others
 
-    def results(self, learner: Learner, late: Tally) -> dict[str, float]:
+    def results(self, learner: Evaluable, late: Tally) -> dict[str, float]:
         """Shares of right predictions: of the learner, and those of the docstring."""
         others = {"same_as_now": SAME, "most_frequent": FREQUENT}
         return super().results(learner, late) | others | _references()

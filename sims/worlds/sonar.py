@@ -19,11 +19,20 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.learner.learner import Learner
 from hebbviz.limits import check_places
 from hebbviz.numerics.compile import WIDTHS, called, compiled, inlined, row
 from hebbviz.numerics.counter_rng import WORLD, Draws, four_uniforms
-from hebbviz.task.base import CompiledTask, Input, Measure, Output, Pose, Reading, Score, Tally
+from hebbviz.task.base import (
+    CompiledTask,
+    Evaluable,
+    Input,
+    Measure,
+    Output,
+    Pose,
+    Reading,
+    Score,
+    Tally,
+)
 from hebbviz.task.presets import Preset, Switch
 from hebbviz.task.signature import WORLD as WORLD_SIGNATURE
 
@@ -278,7 +287,7 @@ class Sonar(CompiledTask):
         """Errors in %, counted over every step."""
         return Score(100.0 * (1.0 - tally.average_reward))
 
-    def evaluate(self, learner: Learner) -> dict[str, Array]:
+    def evaluate(self, learner: Evaluable) -> dict[str, Array]:
         """Errors on the patterns that it learns from, and on those held out, as fractions, of a
         frozen copy in one pass over each set.
         """
@@ -295,7 +304,7 @@ class Sonar(CompiledTask):
             for name, patterns in zip(self.frozen_figures, sizes, strict=True)
         }
 
-    def results(self, learner: Learner, late: Tally) -> dict[str, float]:
+    def results(self, learner: Evaluable, late: Tally) -> dict[str, float]:
         return {name: float(v[learner.watch]) for name, v in self.evaluate(learner).items()}
 
     def read(self, states: Array) -> Array:

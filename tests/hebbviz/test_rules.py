@@ -31,7 +31,7 @@ from hebbviz.server.run.changes import SetBeta, SetFall, SetRule
 from hebbviz.server.run.run import Run
 from hebbviz.sims.experiments import Plan
 from hebbviz.sims.experiments.run import _completed
-from hebbviz.sims.loading import load_rule, make_task
+from hebbviz.sims.loading import compiled_twin, load_rule, make_task
 from hebbviz.sims.worlds.lamps import Lamps, small_example
 from hebbviz.task.base import Reading
 
@@ -39,12 +39,12 @@ LEVER = f"{Path(__file__).parents[1] / 'examples' / 'lever.py'}:Lever"
 
 
 def in_lanes(make):
-    return make().in_lanes()
+    return compiled_twin(make())
 
 
 def has_lanes(make):
     task = make()
-    return task.in_lanes() is not task
+    return compiled_twin(task) is not task
 
 
 TASKS = {name: partial(make_task, name) for name in sims.TASKS.names}

@@ -7,7 +7,7 @@ from hebbviz.engine.layout import Layout
 from hebbviz.engine.unrolled import plan_of
 from hebbviz.learner.learner import Learner
 from hebbviz.rules.baseline import Baseline
-from hebbviz.sims.loading import make_task
+from hebbviz.sims.loading import compiled_twin, make_task
 from hebbviz.topology import BINARY, SYMMETRIC, Group, Projection, Topology, feedforward
 
 
@@ -23,7 +23,7 @@ def tangle(activity, inputs, outputs):
 
 
 def tangled(name, activity):
-    task = make_task(name).in_lanes()
+    task = compiled_twin(make_task(name))
     return tangle(activity, len(task.inputs), len(task.outputs))
 
 
@@ -62,7 +62,7 @@ def live_through(learner):
 )
 def test_it_is_the_same_run_to_the_bit(task, dtype, lanes, topology):
     both = [
-        Learner(make_task(task).in_lanes(), topology=topology, gamma=0.01, seed=3, lanes=lanes,
+        Learner(compiled_twin(make_task(task)), topology=topology, gamma=0.01, seed=3, lanes=lanes,
                 dtype=dtype, written_out=written_out)
         for written_out in (False, True)
     ]  # fmt: skip

@@ -9,7 +9,7 @@ from hebbviz.learner.saves import load, save
 from hebbviz.numerics.compile import WIDTHS, compiled
 from hebbviz.numerics.counter_rng import unit
 from hebbviz.numerics.logistic import sigmoid
-from hebbviz.sims.loading import make_task
+from hebbviz.sims.loading import compiled_twin, make_task
 from hebbviz.sims.worlds.pendulum.compiled import PendulumLanes
 from hebbviz.sims.worlds.pendulum.physics import FARTHEST, FARTHEST_TURN, PLANT
 from hebbviz.sims.worlds.pendulum.task import Pendulum
@@ -23,7 +23,7 @@ EXACT = {np.float64: 0.0, np.float32: 2e-7}
 
 
 def compiled_task(name):
-    return make_task(name, None).in_lanes()
+    return compiled_twin(make_task(name, None))
 
 
 @compiled

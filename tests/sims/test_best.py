@@ -8,7 +8,7 @@ import pytest
 from hebbviz.learner.learner import Learner
 from hebbviz.numerics.counter_rng import FIRST_EPISODE, Draws
 from hebbviz.rules.baseline import Baseline
-from hebbviz.sims.loading import make_task
+from hebbviz.sims.loading import compiled_twin, make_task
 from hebbviz.sims.worlds.sonar import ENERGIES, HOLD, PATTERNS, SCALE, TRAINING, Sonar, load
 
 PATTERN, ORDER = 3, 9
@@ -158,7 +158,7 @@ def test_sonar_best_learns_its_training_set():
 @pytest.mark.slow
 def test_pendulum_best_leaves_no_run_behind():
     """Time to fall over the last fifth of 10⁵ s, of 64 runs."""
-    learner = Learner(make_task("pendulum", "best").in_lanes(), lanes=64)
+    learner = Learner(compiled_twin(make_task("pendulum", "best")), lanes=64)
     learner.skip(4_000_000)
     seconds = [learner.task.score(t).value for t in learner.skip_tallied(1_000_000)]
     assert min(seconds) > 1000.0

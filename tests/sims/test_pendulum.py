@@ -8,6 +8,7 @@ import pytest
 
 from hebbviz.learner.learner import Learner
 from hebbviz.numerics.counter_rng import Draws
+from hebbviz.sims.loading import compiled_twin
 from hebbviz.sims.worlds.pendulum.compiled import PendulumLanes
 from hebbviz.sims.worlds.pendulum.physics import PLANT, fallen
 from hebbviz.sims.worlds.pendulum.task import Pendulum
@@ -15,6 +16,17 @@ from hebbviz.task.base import Tally
 
 RANDOM = 0.61
 """Seconds that fair coins keep it up."""
+
+
+def test_it_has_a_compiled_twin_and_a_world_made_from_it_has_none():
+    class Own(Pendulum):
+        def reward(self, state):
+            return 2.0 * super().reward(state)
+
+    twin = compiled_twin(Pendulum("raw"))
+    assert (type(twin), twin.preset_name) == (PendulumLanes, "raw")
+    for task in (twin, Own()):
+        assert compiled_twin(task) is task
 
 
 @pytest.mark.parametrize(

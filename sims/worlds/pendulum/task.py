@@ -143,11 +143,6 @@ class Pendulum(Task):
     def read(self, states: Array) -> Array:
         return np.column_stack((_tilt(states[:, 6]), states[:, :2], states[:, 10:12]))
 
-    def in_lanes(self) -> Task:
-        from hebbviz.sims.worlds.pendulum.compiled import PendulumLanes  # noqa: PLC0415  # it is made of this class
-
-        return PendulumLanes(self.preset_name)
-
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.preset_name,)
 
