@@ -12,42 +12,32 @@ from __future__ import annotations
 import contextlib
 import errno
 import html
-import http.client
-import importlib.util
 import os
-import re
 import socket
 import socketserver
-import subprocess
 import sys
 import threading
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
+from hebbviz.server.recording.rerun_program import (
+    HOST,
+    RECORDING,
+    File,
+    viewer_files,
+)
 from hebbviz.server.web.access import Access, Entrance, Passage, Role, headers
 from hebbviz.server.web.browser_window import open_window
 from hebbviz.server.web.refusal import Refused
 from hebbviz.sims.program.terminal import reason
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable
 
-HOST = "127.0.0.1"
-PATIENCE_SECONDS = 60.0
-"""How long rerun's program may take to hand over the viewer; it takes half a second, or on a slow
-disk as long as it takes to read a program of 300 MB."""
 LATENCY_SECONDS = 0.05  # until the server sees that it is to end
 MAGIC = b"RRF"  # how every rerun recording begins
-RECORDING = "/recording.rrd"
-RERUNS_OWN = {
-    "/re_viewer.js": "text/javascript; charset=utf-8",
-    "/re_viewer_bg.wasm": "application/wasm",
-    "/favicon.ico": "image/x-icon",
-}
-"""Path and type of the files that rerun's program hands over."""
-
 HEADERS = headers(
     {
         "script-src": "'self' 'wasm-unsafe-eval'",
@@ -127,10 +117,6 @@ show().catch(fail);
 """
 
 
-class NoViewer(OSError):
-    """rerun's program is missing, or hands over no viewer."""
-
-
 class Viewer:
     """Shows one recording to the browsers of this machine; it listens from here on.
 
@@ -154,7 +140,7 @@ class Viewer:
         self._server.entrance = Entrance(HOST, access)
         self._server.on_turned_away = on_turned_away
         try:
-            self._server.files = _page(self.path.name) | _reruns_own()
+            self._server.files = _page(self.path.name) | viewer_files()
         except BaseException:
             self._server.server_close()
             raise
@@ -220,19 +206,13 @@ def check_recording(path: str | Path) -> Path:
 # Our server
 
 
-class _File(NamedTuple):
-    kind: str
-    """The media type."""
-    content: bytes
-
-
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
     request_queue_size = 64
     allow_reuse_address = os.name == "posix"  # there it only skips the wait after a restart
 
     def __init__(self, port: int) -> None:
-        self.files: dict[str, _File] = {}
+        self.files: dict[str, File] = {}
         self.recording = Path()
         self.entrance = Entrance(HOST)
         self.on_turned_away: Callable[[str], None] = lambda _: None
@@ -347,87 +327,14 @@ def _listen(port: int) -> _Server:
         raise OSError(f"can't listen on {HOST}:{port}: {why}; {advice}") from error
 
 
-def _page(name: str) -> dict[str, _File]:
+def _page(name: str) -> dict[str, File]:
     """Our part of the page. `name` is the file's, which may be in any encoding."""
     title = html.escape(f"{os.fsencode(name).decode(errors='replace')} · hebbviz")
     return {
-        "/": _File("text/html; charset=utf-8", PAGE.format(title=title).encode()),
-        "/page.css": _File("text/css; charset=utf-8", STYLE.encode()),
-        "/start.js": _File("text/javascript; charset=utf-8", START.encode()),
+        "/": File("text/html; charset=utf-8", PAGE.format(title=title).encode()),
+        "/page.css": File("text/css; charset=utf-8", STYLE.encode()),
+        "/start.js": File("text/javascript; charset=utf-8", START.encode()),
     }
 
 
 # rerun's program
-
-
-def _reruns_own() -> dict[str, _File]:
-    """The files of rerun's viewer. Raises NoViewer."""
-    program = _program()
-    try:
-        with _serving(program) as port:
-            return {path: _File(kind, _fetch(port, path)) for path, kind in RERUNS_OWN.items()}
-    except (OSError, http.client.HTTPException) as error:
-        raise NoViewer(
-            f"cannot take the web viewer out of {program}: {error}; install rerun-sdk again"
-        ) from error
-
-
-def _program() -> Path:
-    """rerun's program itself: the command `rerun` is a script, and ending it does not end this."""
-    spec = importlib.util.find_spec("rerun_cli")
-    folders = spec.submodule_search_locations if spec is not None else None
-    for folder in folders or ():
-        for name in ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun"):
-            if (program := Path(folder, name)).is_file():
-                return program
-    raise NoViewer("rerun's web viewer is not installed: pip install rerun-sdk")
-
-
-@contextlib.contextmanager
-def _serving(program: Path) -> Iterator[int]:
-    """While entered, rerun's program serves its viewer on this machine, at the port given.
-
-    As it is told that there is a recording elsewhere, it opens no port to take recordings at.
-    """
-    elsewhere = f"http://{HOST}:1{RECORDING}"
-    command = [str(program), "--serve-web", "--bind", HOST, "--web-viewer-port", "0", elsewhere]
-    silent = subprocess.DEVNULL
-    with subprocess.Popen(
-        command, stdin=silent, stdout=silent, stderr=subprocess.PIPE, env=_environment()
-    ) as child:
-        alarm = threading.Timer(PATIENCE_SECONDS, child.kill)
-        alarm.start()
-        try:
-            yield _announced_port(child.stderr or ())
-        finally:
-            alarm.cancel()
-            child.kill()
-
-
-def _environment() -> dict[str, str]:
-    """Little of ours, so that no setting of the user's changes what rerun says or sends.
-
-    rerun takes CI for a reason to collect no figures of its use, and to write no settings.
-    """
-    kept = ("LD_LIBRARY_PATH", "PATH", "SYSTEMROOT")
-    ours = {name: os.environ[name] for name in kept if name in os.environ}
-    return ours | {"CI": "1", "NO_COLOR": "1", "RUST_LOG": "info"}
-
-
-def _announced_port(lines: Iterable[bytes]) -> int:
-    """Where rerun's program says that it serves its viewer."""
-    for line in lines:
-        found = re.search(rf"http://{re.escape(HOST)}:(\d+)".encode(), line)
-        if found is not None:
-            return int(found[1])
-    raise NoViewer("it ended before it served it")
-
-
-def _fetch(port: int, path: str) -> bytes:
-    connection = http.client.HTTPConnection(HOST, port)
-    with contextlib.closing(connection):
-        connection.request("GET", path)
-        answer = connection.getresponse()
-        if answer.status != HTTPStatus.OK:
-            raise NoViewer(f"it has no {path}")
-        return answer.read()

@@ -764,7 +764,7 @@ def test_a_name_that_is_taken_after_a_leap_ends_the_recording_alone(tmp_path: Pa
 @contextlib.contextmanager
 def viewer(url: str, path: Path) -> Iterator[subprocess.Popen[bytes]]:
     """rerun's own program, which receives what is streamed into a file."""
-    from hebbviz.server.recording.viewer import _environment, _program
+    from hebbviz.server.recording.rerun_program import _environment, _program
 
     command = [str(_program()), url, "--save", str(path), "--bind", "127.0.0.1", "--port", "0"]
     quiet = subprocess.DEVNULL

@@ -25,8 +25,9 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, Request, Response
 from raw_client import answers, wait_until
 
-from hebbviz.server.recording import viewer
-from hebbviz.server.recording.viewer import NoViewer, Viewer
+from hebbviz.server.recording import rerun_program
+from hebbviz.server.recording.rerun_program import NoViewer
+from hebbviz.server.recording.viewer import Viewer
 from hebbviz.server.web.access import Access
 
 STRIPES = ((250, 40, 200), (30, 230, 110), (70, 20, 140))
@@ -287,8 +288,8 @@ def test_a_program_that_hands_over_nothing_is_ended_and_told_of(
     program = tmp_path / "rerun"
     program.write_text(f"#!/bin/sh\n{script.replace('sleep', 'exec sleep')}\n")
     program.chmod(0o755)
-    monkeypatch.setattr(viewer, "_program", lambda: program)
-    monkeypatch.setattr(viewer, "PATIENCE_SECONDS", 0.3)
+    monkeypatch.setattr(rerun_program, "_program", lambda: program)
+    monkeypatch.setattr(rerun_program, "PATIENCE_SECONDS", 0.3)
     started = _watched_programs(monkeypatch)
     with pytest.raises(NoViewer, match=r"rerun.*install rerun-sdk again"):
         Viewer(recording)
@@ -296,7 +297,7 @@ def test_a_program_that_hands_over_nothing_is_ended_and_told_of(
 
 
 def test_without_rerun_it_says_so(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(viewer.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(rerun_program.importlib.util, "find_spec", lambda _: None)
     with pytest.raises(NoViewer, match="pip install rerun-sdk"):
         Viewer(recording)
 
