@@ -19,17 +19,9 @@ if TYPE_CHECKING:
     from hebbviz.server.recording.reader import open_recording
     from hebbviz.sims.figures.run_figure import figure
     from hebbviz.sims.loading import load, make_task
-    from hebbviz.task.base import (
-        Control,
-        Input,
-        Measure,
-        Output,
-        Pose,
-        Prop,
-        Reading,
-        Task,
-    )
+    from hebbviz.task.base import Input, Measure, Output, Reading, Task
     from hebbviz.task.presets import Preset
+    from hebbviz.task.scene import Control, Pose, Prop
     from hebbviz.topology import Group, Projection, Topology, feedforward
 
 __version__ = "0.1.0"
@@ -74,10 +66,9 @@ _MODULES = {
     "hebbviz.server.recording.reader": ("open_recording",),
     "hebbviz.sims.figures.run_figure": ("figure",),
     "hebbviz.sims.loading": ("load", "make_task"),
-    "hebbviz.task.base": (
-        "Control", "Input", "Measure", "Output", "Pose", "Prop", "Reading", "Task",
-    ),
+    "hebbviz.task.base": ("Input", "Measure", "Output", "Reading", "Task"),
     "hebbviz.task.presets": ("Preset",),
+    "hebbviz.task.scene": ("Control", "Pose", "Prop"),
     "hebbviz.topology": ("Group", "Projection", "Topology", "feedforward"),
 }  # fmt: skip
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}

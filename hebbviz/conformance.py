@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from hebbviz.learner.learner import Learner
 from hebbviz.numerics.counter_rng import FIRST_EPISODE, NEXT_EPISODE, Draws
 from hebbviz.rules.base import Rule, make_rule
-from hebbviz.task.base import CompiledTask, Input, Output, Pose, Task
+from hebbviz.task.base import CompiledTask, Input, Output, Task
 from hebbviz.task.presets import Preset
+from hebbviz.task.scene import Pose
 
 Array = NDArray[np.float64]
 MakeTask = Callable[[], Task]

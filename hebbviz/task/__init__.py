@@ -2,19 +2,17 @@
 
 from hebbviz.task.base import (
     CompiledTask,
-    Control,
     Evaluable,
     Input,
     Measure,
     Output,
-    Pose,
-    Prop,
     Reading,
     Score,
     Tally,
     Task,
 )
 from hebbviz.task.presets import Preset
+from hebbviz.task.scene import Control, Pose, Prop
 
 __all__ = [
     "CompiledTask", "Control", "Evaluable", "Input", "Measure", "Output", "Pose", "Preset", "Prop",

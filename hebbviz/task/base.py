@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.task.presets import Preset, Switch, UnknownPreset, find_preset, is_on, spelled
+from hebbviz.task.scene import Control, Pose, Prop
 from hebbviz.theory.poisson import time_to_event
 from hebbviz.topology import SYMMETRIC, Activity, Topology, feedforward
 
@@ -134,49 +135,12 @@ class Measure:
 
 
 @dataclass(frozen=True)
-class Prop:
-    """A scene object of unit size: a 'box', 'sphere' or 'cylinder', which a `Pose` scales.
-
-    `color` is red, green, blue in 0..1, or the name of a role in the page's palette: 'world',
-    'world strong', 'accent', 'positive', 'negative'. `trail` draws the object's recent path.
-    """
-
-    name: str
-    shape: str
-    color: str | tuple[float, float, float] = "world"
-    trail: bool = False
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Where the scene objects are: arrays in the order of `Task.props`, and a line of text.
-
-    `position` (props, 3) in scene units, z up; `rotation` (props, 4) quaternions, w first;
-    `scale` (props, 3) full extent along each axis.
-    """
-
-    position: Array
-    rotation: Array
-    scale: Array
-    words: str = ""
-
-
-@dataclass(frozen=True)
 class Reading:
     """A number that recordings plot; `steps` marks one that is piecewise constant."""
 
     name: str
     unit: str = ""
     steps: bool = False
-
-
-@dataclass(frozen=True)
-class Control:
-    """A button that the page shows for the task; pressing it calls `Task.press` with its name."""
-
-    name: str
-    hint: str
-    key: str | None = None
 
 
 class Evaluable(Protocol):

@@ -18,7 +18,8 @@ from hebbviz.server.recording.rows import Columns, Rows, Steps
 from hebbviz.server.scene import meshes
 from hebbviz.server.scene.appearance import color_of
 from hebbviz.sims.figures.palette import Theme
-from hebbviz.task.base import Prop, Task
+from hebbviz.task.base import Task
+from hebbviz.task.scene import Prop
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

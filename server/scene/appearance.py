@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from hebbviz.learner.frames import Frame
 from hebbviz.sims.figures import palette
 from hebbviz.sims.figures.palette import Pixels, Rgb, Theme
-from hebbviz.task.base import Prop, Task
+from hebbviz.task.base import Task
+from hebbviz.task.scene import Prop
 from hebbviz.topology import Topology
 
 Array = NDArray[np.float64]

@@ -13,7 +13,8 @@ from hebbviz.server.scene import meshes
 from hebbviz.server.scene.appearance import color_of
 from hebbviz.sims.figures import palette
 from hebbviz.sims.figures.palette import Theme
-from hebbviz.task.base import Pose, Prop, Task
+from hebbviz.task.base import Task
+from hebbviz.task.scene import Pose, Prop
 
 Array = NDArray[np.float64]
 

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from hebbviz.sims.worlds import strip_chart
 from hebbviz.sims.worlds.strip_chart import Row
-from hebbviz.task.base import Evaluable, Input, Measure, Output, Pose, Prop, Reading, Tally
+from hebbviz.task.base import Evaluable, Input, Measure, Output, Reading, Tally
 from hebbviz.task.finite import NOTHING, FiniteWorld
 from hebbviz.task.presets import Preset
+from hebbviz.task.scene import Pose, Prop
 from hebbviz.theory.pomdp import POMDP
 from hebbviz.topology import Projection, Topology
 

@@ -22,18 +22,9 @@ from numpy.typing import NDArray
 from hebbviz.limits import check_places
 from hebbviz.numerics.compile import WIDTHS, called, compiled, inlined, row
 from hebbviz.numerics.counter_rng import WORLD, Draws, four_uniforms
-from hebbviz.task.base import (
-    CompiledTask,
-    Evaluable,
-    Input,
-    Measure,
-    Output,
-    Pose,
-    Reading,
-    Score,
-    Tally,
-)
+from hebbviz.task.base import CompiledTask, Evaluable, Input, Measure, Output, Reading, Score, Tally
 from hebbviz.task.presets import Preset, Switch
+from hebbviz.task.scene import Pose
 from hebbviz.task.signature import WORLD as WORLD_SIGNATURE
 
 Array = NDArray[np.float64]

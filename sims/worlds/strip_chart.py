@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.task.base import Prop
+from hebbviz.task.scene import Prop
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]

@@ -12,8 +12,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.task.base import Control, Output, Pose, Task
+from hebbviz.task.base import Output, Task
 from hebbviz.task.presets import Preset
+from hebbviz.task.scene import Control, Pose
 from hebbviz.topology import BINARY, Group, Projection, Topology
 
 Array = NDArray[np.float64]

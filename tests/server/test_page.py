@@ -16,7 +16,8 @@ from hebbviz.server.app import Site
 from hebbviz.server.page import camera
 from hebbviz.server.page.page import Page
 from hebbviz.sims.loading import make_task
-from hebbviz.task.base import Pose, Task
+from hebbviz.task.base import Task
+from hebbviz.task.scene import Pose
 from tests.examples.lever import Lever
 
 if TYPE_CHECKING:

@@ -25,7 +25,8 @@ from hebbviz.server.scene.appearance import (
 )
 from hebbviz.sims.loading import make_task
 from hebbviz.sims.worlds.synapse import Synapse
-from hebbviz.task.base import Pose, Prop, Task
+from hebbviz.task.base import Task
+from hebbviz.task.scene import Pose, Prop
 from hebbviz.topology import Topology
 
 STEPS = 90

@@ -21,8 +21,9 @@ from hebbviz.numerics.compile import called
 from hebbviz.numerics.counter_rng import Draws, four_uniforms
 from hebbviz.sims import TASKS
 from hebbviz.sims.loading import make_task
-from hebbviz.task.base import CompiledTask, Control, Input, Output, Task
+from hebbviz.task.base import CompiledTask, Input, Output, Task
 from hebbviz.task.presets import Preset
+from hebbviz.task.scene import Control
 from hebbviz.task.signature import WORLD
 
 LEVER = f"{Path(__file__).parents[1] / 'examples' / 'lever.py'}:Lever"

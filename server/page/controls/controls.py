@@ -35,8 +35,9 @@ from hebbviz.sims import TASKS
 from hebbviz.sims.figures import palette
 from hebbviz.sims.program.learner_from_arguments import MOST_SHOWN_LANES
 from hebbviz.sims.program.typed_numbers import about_commas, whole
-from hebbviz.task.base import Control, Task
+from hebbviz.task.base import Task
 from hebbviz.task.presets import Switch
+from hebbviz.task.scene import Control
 from hebbviz.topology import parse_hidden
 
 GREATEST_BETA = 0.999999

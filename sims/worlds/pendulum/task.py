@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from hebbviz.sims.worlds.pendulum.arena import Arena
 from hebbviz.sims.worlds.pendulum.physics import PLANT, fallen, restart
-from hebbviz.task.base import Input, Measure, Output, Pose, Prop, Reading, Score, Tally, Task
+from hebbviz.task.base import Input, Measure, Output, Reading, Score, Tally, Task
 from hebbviz.task.presets import Preset
+from hebbviz.task.scene import Pose, Prop
 
 Array = NDArray[np.float64]
 
