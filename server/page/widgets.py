@@ -12,6 +12,7 @@ from typing import Any
 
 import viser
 from viser._messages import GuiUpdateMessage
+from viser._threadpool_exceptions import print_threadpool_errors
 
 from hebbviz.server.live.commands import Command
 from hebbviz.server.live.snapshot import Snapshot
@@ -54,18 +55,18 @@ class Widgets:
         """
         key = _key(handle)
 
-        def changed(event: Any) -> None:
-            if event.client is None:
-                return
-            self._touched[key] = time.monotonic()
-            self._put_before.pop(key, None)
-            if handle.value == "" or not self.attempt(lambda: command(handle.value)):
+        def changed(value: Any) -> None:
+            if value == "" or not self.attempt(lambda: command(value)):
                 self._put_back(handle)
 
-        if isinstance(handle, viser.GuiButtonGroupHandle):
-            handle.on_click(changed)
-        else:
-            handle.on_update(changed)
+        def arrived(value: Any) -> None:
+            self._touched[key] = time.monotonic()
+            self._put_before.pop(key, None)
+            self.gui._thread_executor.submit(changed, value).add_done_callback(  # noqa: SLF001
+                print_threadpool_errors
+            )
+
+        _on_arrival(handle, arrived)
 
     def press(self, handle: Any, command: Callable[[], Command | None]) -> None:
         """Send a command when a button is pressed."""
@@ -125,6 +126,24 @@ def _key(handle: Any) -> str:
     """What no other widget has, before it or after it."""
     uuid: str = handle._impl.uuid  # noqa: SLF001
     return uuid
+
+
+def _on_arrival(handle: Any, act: Callable[[Any], None]) -> None:
+    """Call `act` with each value that a page sends, at once, in the thread of the server.
+
+    viser's own callbacks run later in another thread, and read there what the widget has been set
+    to meanwhile: what was typed would be lost.
+    """
+    impl = handle._impl  # noqa: SLF001
+    sync = impl.sync_cb
+
+    def arrived(client: Any, updates: dict[str, Any]) -> None:
+        if sync is not None:
+            sync(client, updates)
+        if "value" in updates:
+            act(updates["value"])
+
+    impl.sync_cb = arrived
 
 
 def _tell_again(handle: Any) -> None:

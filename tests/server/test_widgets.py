@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -83,6 +85,32 @@ def test_what_is_typed_is_one_command_of_the_whole(
     panel.type(label, text)
     assert panel.sent == [command]
     assert panel.notices == []
+
+
+@contextmanager
+def busy(pool: Any) -> Iterator[None]:
+    """A machine whose threads are all held up: no callback runs in here."""
+    free = threading.Event()
+    for _ in range(pool._max_workers):
+        pool.submit(free.wait)
+    try:
+        yield
+    finally:
+        free.set()
+
+
+@pytest.mark.parametrize("drawn", ["0.02", "0.01"])
+def test_what_is_typed_is_not_lost_where_its_field_is_drawn_before_it_is_read(
+    panel: Panel, drawn: str
+) -> None:
+    gamma = panel.controls.gamma
+    panel.widgets.put(gamma, "0.03")
+    with busy(panel.widgets.gui._thread_executor):
+        panel.client.send_value(panel.client.find("γ"), "0.05")
+        wait_until(lambda: gamma.value == "0.05")
+        panel.widgets.put(gamma, drawn)
+    wait_until(lambda: panel.sent)
+    assert panel.sent == [SetGamma(0.05)]
 
 
 @pytest.mark.parametrize(
