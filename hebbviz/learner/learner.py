@@ -346,6 +346,11 @@ class Learner:
         return self._tiles.read("activity")
 
     @property
+    def seen(self) -> Array:
+        """u of every input in the last step, (inputs, lanes)."""
+        return self._tiles.read("before")[: self.topology.inputs]
+
+    @property
     def world(self) -> Array:
         """The state of the task, (numbers, lanes)."""
         return self._world.states

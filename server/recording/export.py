@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hebbviz.learner.frames import join
-from hebbviz.server.recording.header import BadRecording, Header
+from hebbviz.server.recording.header import BadRecording, Header, entity
+from hebbviz.server.recording.in_force import in_force
 from hebbviz.server.recording.kept_steps import matrices_of, steps_of
 from hebbviz.server.recording.reader import Recording
+from hebbviz.server.recording.rows import SEEN
 from hebbviz.server.recording.tables import Table, parallel, read_rows
 from hebbviz.server.run.run import Replay, Run
 from hebbviz.server.scene.appearance import endpoints, neuron_names, unit_names
@@ -34,7 +36,7 @@ MOST_CSV_COLUMNS = 2_000
 _TREES = tuple(
     f"/{tree}/**"
     for tree in ("spikes", "potentials", "reward", "weights", "traces", "hebbviz", "parameters")
-    + ("episodes", "world", "events")
+    + ("episodes", "world", "events", SEEN)
 )
 _OF_NEURONS = ("fired", "potential", "spikes", "least_potential", "greatest_potential")
 """Columns with an entry for each neuron."""
@@ -48,8 +50,8 @@ def export_timelines(recording: Recording, folder: Path) -> list[Path]:
     topology, dt = recording.header.topology, recording.header.dt
     rows = read_rows(recording.path, _TREES)
     groups = {
-        "steps": _steps(rows, topology),
-        "weights": _weights(rows, topology),
+        "steps": _with_in_force(recording, _steps(rows, topology)),
+        "weights": _with_in_force(recording, _weights(rows, topology)),
         "sums": _records(rows.get("/hebbviz/aggregate")),
         "curve": _records(rows.get("/hebbviz/edge")),
         "parameters": _together(rows, {"beta": "/parameters/beta", "gamma": "/parameters/gamma"}),
@@ -58,6 +60,7 @@ def export_timelines(recording: Recording, folder: Path) -> list[Path]:
     for path in (p for p in rows if p.startswith("/world/")):
         groups[path.strip("/").replace("/", "_")] = _together(rows, {"value": path})
     arrays = {f"{group}_{name}": a for group, c in groups.items() for name, a in c.items()}
+    arrays |= {f"synapses_{name}": a for name, a in _synapses(topology).items()}
     with whole_folder(folder) as part:
         written = [_write_npz(part / "timelines.npz", arrays)]
         for name, columns in groups.items():
@@ -193,9 +196,22 @@ def _steps(rows: dict[str, Table], topology: Topology) -> Columns:
 
 
 def _weights(rows: dict[str, Table], topology: Topology) -> Columns:
-    """Weights and traces, (n, synapses) in the topology's order."""
+    """Weights and traces, (n, synapses) in the topology's order, and inputs, where it has them."""
     step, found = matrices_of(rows, topology, ("weights", "traces"))
+    if f"/{SEEN}" in rows:  # older recordings have none
+        first = f"/weights/{entity(topology.projections[0].name)}"
+        _, seen = parallel(rows, [first, f"/{SEEN}"])
+        whole = min(len(step), len(seen))
+        step, found = step[:whole], {name: x[:whole] for name, x in found.items()}
+        found["input"] = seen.scalars[:whole]
     return {"step": step, **found} if len(step) else {}
+
+
+def _with_in_force(recording: Recording, columns: Columns) -> Columns:
+    """The columns, and β and γ with which their steps were made."""
+    if not columns:
+        return {}
+    return columns | dict(zip(("beta", "gamma"), in_force(recording, columns["step"]), strict=True))
 
 
 def _records(table: Table | None) -> Columns:

@@ -15,6 +15,8 @@ _ORDER = ("hebbviz/change", "", "reward/raw", "reward/broadcast", "hebbviz/end")
 """A file may be cut anywhere: no keyframe is in it without the changes before it, no step without
 its spikes, no end without all. What is not named stands in the place of "".
 """
+SEEN = "inputs"
+"""Entity of what the network saw, written with weights and traces."""
 WIDER = 1.8
 """Times as wide as it is, the range of a map."""
 NUMBER, CHECKSUM = "row", "crc32"

@@ -79,7 +79,7 @@ class Take(threading.Thread):
         self._ended: float | None = None
         self._step, self._kept, self._dropped = header.step, 0, 0
         self._step_size = _step_size(task, header)
-        self._weights_size = 16 * header.topology.synapses + 600
+        self._weights_size = 16 * header.topology.synapses + 8 * header.topology.inputs + 600
         self._look_size = self._weights_size + 8 * header.topology.synapses + 2_000
         self.error: str | None = None
         self._giving_up: threading.Thread | None = None
@@ -137,10 +137,10 @@ class Take(threading.Thread):
             self._tell(lambda w: w.world(frame.step, frame.world), 1_000)
 
     def weights(self, learner: Learner) -> None:
-        """Weights and traces as they are now."""
-        step = learner.step
-        weight, trace = (x[:, learner.watch] for x in (learner.weights, learner.traces))
-        self._tell(lambda w: w.weights(step, weight, trace), self._weights_size)
+        """Weights and traces as they are now, and what the network saw in this step."""
+        step, lane = learner.step, learner.watch
+        now = [x[:, lane] for x in (learner.weights, learner.traces, learner.seen)]
+        self._tell(lambda w: w.weights(step, *now), self._weights_size)
 
     def frame(self, frame: Frame) -> None:
         """The sums since the frame before, and now and then weights and traces."""

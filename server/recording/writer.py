@@ -20,7 +20,7 @@ from hebbviz.rules.base import make_rule
 from hebbviz.server.recording import rows
 from hebbviz.server.recording.blueprint import LOG_GAMMA, blueprint, curves_of, log_curve
 from hebbviz.server.recording.header import Header, change_to_json, entity
-from hebbviz.server.recording.rows import Rows
+from hebbviz.server.recording.rows import SEEN, Rows
 from hebbviz.server.recording.scene import Scene
 from hebbviz.server.recording.streams import Stream
 from hebbviz.server.run.changes import Logged
@@ -101,13 +101,16 @@ class Writer:
         self._scene.poses(_at(step), state[None])
 
     def look(self, frame: Frame) -> None:
-        """The network as it is now: in 3D, weights, traces."""
+        """The network as it is now: in 3D, weights, traces, inputs."""
         self._scene.look(frame)
-        self.weights(frame.step, frame.weight, frame.trace)
+        seen = frame.before[: self._topology.inputs]
+        self.weights(frame.step, frame.weight, frame.trace, seen)
 
-    def weights(self, step: int, weight: Array, trace: Array) -> None:
-        """Weights and traces, (synapses,)."""
+    def weights(self, step: int, weight: Array, trace: Array, seen: Array) -> None:
+        """Weights and traces, (synapses,), and what was seen in this step, (inputs,)."""
         t = self._topology
+        if t.inputs:
+            self._add(SEEN, _at(step), seen[None])
         for k, p in enumerate(t.projections):
             where, shape, name = t.synapses_of(k), t.shape(p), entity(p.name)
             for kind, values in (("weights", weight), ("traces", trace)):
