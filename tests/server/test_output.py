@@ -6,6 +6,7 @@ import contextlib
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -190,6 +191,34 @@ def test_a_stopped_page_ends_with_0_and_a_whole_recording(
     recording = open_recording(path)
     assert (recording.ending, recording.notice) == ("it was stopped", None)
     assert recording.last_step > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lost", STDOUTS)
+@pytest.mark.parametrize("command", ["replay", "view"])
+def test_a_recording_is_shown_to_the_end_whoever_reads(
+    command: str, lost: str, recorded: Path, tmp_path: Path
+) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    out, stderr = STDOUTS[lost](), tmp_path / "stderr"
+    closes = {"preexec_fn": lambda: os.close(1)} if out is None else {"stdout": out}
+    with (
+        contextlib.nullcontext() if out is None else out,
+        stderr.open("w") as err,
+        started(f"{command} {recorded} --port {port} --no-browser", stderr=err, **closes) as shown,
+    ):
+        wait_until(lambda: answers(port), PATIENCE)
+        shown.send_signal(signal.SIGTERM)
+        assert shown.wait(timeout=PATIENCE) == 0
+    assert stderr.read_text() == WHY[lost]
+
+
+def answers(port: int) -> bool:
+    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
+        return True
+    return False
 
 
 def test_only_a_closed_terminal_may_signal_twice_without_impatience() -> None:
