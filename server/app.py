@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 
 DEFAULT_PORT = 8080
 SHUTDOWN_SECONDS = 1.0
-"""How long the worker may take to end its last stretch of steps."""
+"""How long the worker may take to finish its last chunk of steps."""
 COMPILING = "compiling for this machine: about 15 s, only this first time"
 
 
 class AccessOptions(TypedDict, total=False):
-    """Who may reach the page, see `Access`."""
+    """Options that control access to the page, see `Access`."""
 
     allow_hosts: Sequence[str]
     token: bool | None
@@ -44,7 +44,7 @@ class AccessOptions(TypedDict, total=False):
 
 
 class Served:
-    """A page that is served in a thread. Use it in a `with` statement, or call `stop`."""
+    """A page served in a thread. Use it in a `with` statement, or call `stop`."""
 
     def __init__(self, site: Site) -> None:
         self._site, self._stop = site, threading.Event()
@@ -93,10 +93,10 @@ def serve(
         port: Port to listen on (0: any free one); None: 8080 or the next free one above it.
         speed: Steps per second, 'realtime' or 'max'; None: a speed that suits the task.
         open_browser: Open the page in the default browser.
-        task_name: Name of the task, if it is not the task's own: `path.py:Name` for example.
+        task_name: Name of the task, if different from the task's own: `path.py:Name` for example.
         recording: What to record.
-        stop: Event that ends it, for programs that call this in a thread.
-        allow_hosts: Names, as NAME or NAME:PORT, under which the page may be reached too.
+        stop: Event that stops the page, for programs that call this in a thread.
+        allow_hosts: Other names, as NAME or NAME:PORT, under which the page may be reached.
         token: Whether the link must hold a token; None: only if other machines can reach the page.
         frame_from: Origins, such as http://localhost:8888, that may show the page in a frame (a
             notebook).
@@ -132,9 +132,9 @@ def serve(
 
 
 class Site:
-    """A learner ready to be shown; raises as `serve` does. It listens from here on.
+    """A learner ready to be shown; raises as `serve` does. It listens once it is constructed.
 
-    With a `past`, a run that was read from a recording, that run is played back.
+    With a `past`, which is a run read from a recording, it plays that run back.
     """
 
     def __init__(
@@ -172,19 +172,19 @@ class Site:
 
     @property
     def address(self) -> str:
-        """Where it is on this machine."""
+        """The address on this machine."""
         name = "localhost" if self._host in EVERYWHERE else self._host
         name = f"[{name}]" if ":" in name else name
         return f"http://{name}:{self._server.get_port()}"
 
     @property
     def link(self) -> str:
-        """What to type into a browser on this machine."""
+        """The link to open in a browser on this machine."""
         return self._entrance.link(self.address)
 
     def run(self, stop: threading.Event, *, open_browser: bool) -> None:
-        """Show it and step it until `stop` is set; then close everything."""
-        with warnings.catch_warnings():  # a tab may close at any time; nothing is lost by that
+        """Show and step the run until `stop` is set; then close everything."""
+        with warnings.catch_warnings():  # a tab may close at any time without harm
             warnings.filterwarnings("ignore", message=".*closed connection")
             self._show(stop, open_browser=open_browser)
 
@@ -220,11 +220,11 @@ class Site:
     def _announce_address(self) -> None:
         entrance, address = self._entrance, self.address
         if entrance.needs_token:
-            _say(f"to look and change nothing: {entrance.link(address, Role.READER)}")
+            _say(f"read-only link: {entrance.link(address, Role.READER)}")
         if warning := entrance.warning(f"change the run and record into {self._options.folder}"):
             _say(warning)
         if entrance.needs_token and entrance.is_open:
-            _say("elsewhere the links begin with what this machine is called there")
+            _say("on other machines, replace the host in the links with this machine's name there")
         _say(f"hebbviz is at {self.link} (stop it with Ctrl-C)")
 
     def _close(self) -> None:
@@ -235,42 +235,42 @@ class Site:
         self._server.stop()
         if self._worker is not None:
             self._worker.join(SHUTDOWN_SECONDS)
-        if self._recordings is not None:  # what is saved comes before what is printed
+        if self._recordings is not None:  # save before printing
             self.is_stuck = self._recordings.close()  # by a disk that cannot be waited for
         self._say_end()
 
     def _say_end(self) -> None:
         if self._worker is not None:
             error = self._worker.latest and self._worker.latest.pacing.error
-            _say(f"stopped at step {self._run.learner.step:,}{f', for {error}' if error else ''}")
+            _say(f"stopped at step {self._run.learner.step:,}{f': {error}' if error else ''}")
         status = None if self._recordings is None else self._recordings.status
         if status is not None and status.error is None:
             _say(f"recorded {status_text.recorded(status)} in {status.where}")
 
     def _say_notice(self, text: str) -> None:
-        """What must be known on the terminal too."""
+        """Show a notice on the page and on the terminal."""
         stderr = Stream(sys.stderr)
         stderr.write(f"hebbviz: {text}\n")
         stderr.flush()
         self._notify(text)
 
     def _notify(self, text: str) -> None:
-        """Notices of the guard, which listens before there is a page."""
+        """Show a notice of the guard, which listens before there is a page."""
         if self._page is not None:
             self._page.notify(text)
 
 
 def check_start(task: Task, speed: Speed | None) -> None:
-    """Raise ValueError if a task cannot be run at a speed."""
+    """Raise ValueError if a task cannot run at a speed."""
     if speed is not None and check_speed(speed) == REALTIME and task.dt is None:
         raise ValueError(
-            f"speed 'realtime' needs a task with a time step, and {task.name!r} has none: "
+            f"speed 'realtime' needs a task with a time step, but {task.name!r} has none: "
             "give max or steps per second"
         )
 
 
 def _say(line: str) -> None:
-    """Also for programs of a user's own, whose stdout may be what it likes."""
+    """Print a line, also in a user's program, whose stdout may be anything."""
     stdout = Stream(sys.stdout)
     stdout.write(f"{line}\n")
     stdout.flush()

@@ -41,7 +41,7 @@ _NUMERIC = (
 
 class Parser(argparse.ArgumentParser):
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
-        """What is unknown to a command is told by the command, with its own help."""
+        """Report unknown options as the command's own error, which names its help."""
         found, unknown = super().parse_known_args(args, namespace)
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
@@ -52,7 +52,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def joined(argv: list[str]) -> list[str]:
-    """`--gamma -1e-3` as `--gamma=-1e-3`: argparse would take the value for an option."""
+    """`--gamma -1e-3` as `--gamma=-1e-3`: argparse would read the value as an option."""
     joined: list[str] = []
     for text in argv:
         if joined and joined[-1] in _NUMERIC and _is_number(text):
@@ -83,7 +83,7 @@ def whole_number(name: str, least: int, most: int) -> Callable[[str], int]:
 
 
 def path(text: str) -> Path:
-    if not text.strip():  # Path("") is the folder that one is in
+    if not text.strip():  # Path("") is the current folder
         raise argparse.ArgumentTypeError(f"a path must have a name, got {text!r}")
     return Path(text)
 
@@ -143,7 +143,7 @@ def add_learner(parser: argparse.ArgumentParser) -> None:
         "--load",
         type=path,
         metavar="FILE",
-        help="go on with a saved learner, its task and its preset",
+        help="continue a saved learner with its task and preset",
     )
 
 
@@ -157,7 +157,7 @@ def add_task(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--preset",
         metavar="P",
-        help="a setting of the task (default its first); with a switch as best:centred=no",
+        help="a configuration of the task (default its first); with a switch as best:centred=no",
     )
     add_hidden(parser)
 
@@ -188,8 +188,8 @@ def add_rule(parser: argparse._ActionsContainer) -> None:
         "--fall",
         type=step_size_fall,
         metavar="STEPS",
-        help="gamma falls over so many steps: at step t it is gamma STEPS/(STEPS + t); never: it "
-        "stays (default the preset's)",
+        help="gamma falls over STEPS steps: at step t it is gamma STEPS/(STEPS + t); never: it is "
+        "constant (default the preset's)",
     )
 
 
@@ -240,7 +240,7 @@ def add_own_task(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--task",
         metavar="T",
-        help="where a task of yours was recorded: its file again, as path.py:Name",
+        help="the task, if the recording used one of your own, as path.py:Name",
     )
 
 
@@ -248,7 +248,7 @@ def add_own_rule(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rule",
         metavar="R",
-        help="where a rule of yours was recorded: its file again, as path.py:Name",
+        help="the rule, if the recording used one of your own, as path.py:Name",
     )
 
 
@@ -256,8 +256,8 @@ def add_page(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--host",
         default="127.0.0.1",
-        help="address to listen on (default %(default)s: this machine only; with another the link "
-        "holds a token)",
+        help="address to listen on (default %(default)s: this machine only; any other makes the "
+        "link contain a token)",
     )
     add_access(parser)
     parser.add_argument(
@@ -271,9 +271,9 @@ def add_page(parser: argparse.ArgumentParser) -> None:
         type=path,
         default=Path("hebbviz-recordings"),
         metavar="FOLDER",
-        help="folder for recordings that are begun on the page (default %(default)s)",
+        help="folder for recordings started on the page (default %(default)s)",
     )
-    parser.add_argument("--no-browser", action="store_true", help="open no browser")
+    parser.add_argument("--no-browser", action="store_true", help="do not open a browser")
 
 
 def add_access(parser: argparse.ArgumentParser) -> None:
@@ -283,12 +283,12 @@ def add_access(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME[:PORT]",
-        help="another name under which it is reached, by a proxy say; the link then holds a token",
+        help="another name that reaches the page, such as a proxy's; the link then has a token",
     )
     parser.add_argument(
         "--token",
         action=argparse.BooleanOptionalAction,
-        help="whether the link must hold a token (default only where other machines can reach it)",
+        help="require a token in the link (default only if other machines can reach the page)",
     )
 
 
@@ -318,8 +318,8 @@ def add_recording(parser: argparse.ArgumentParser) -> None:
         "--budget",
         type=budget,
         metavar="SIZE",
-        help="what recording may take in a minute, as 500kB or 1GB (default 40MB): every "
-        "step is kept while that suffices, beyond it stretches of them at regular intervals",
+        help="size limit of a recording per minute, as 500kB or 1GB (default 40MB): every step is "
+        "kept within this limit, and stretches at regular intervals beyond it",
     )
     parser.add_argument(
         "--detail",

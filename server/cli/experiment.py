@@ -1,4 +1,4 @@
-"""What the commands that run experiments have in common."""
+"""Shared by the commands that run experiments."""
 
 # ruff: noqa: PLC0415  # heavy modules are imported when they are needed: --help must be quick
 
@@ -32,10 +32,10 @@ GRACE_SECONDS = 1.5
 def run_experiment(
     args: argparse.Namespace, work: Callable[[threading.Event], dict[str, Any] | None]
 ) -> int:
-    """Do a long work and print what it comes to; `work` returns None if it was stopped."""
+    """Do long work and print its result; `work` returns None if it was stopped."""
     from hebbviz.sims.program.interrupts import Interrupts
 
-    kept = f"the same command goes on from what is kept in {args.out}"
+    kept = f"the same command continues from the results in {args.out}"
     with Interrupts() as interrupts:
         try:
             with user_can_mend(args), prints_aside():
@@ -43,7 +43,7 @@ def run_experiment(
         except WorkersFailed as error:
             return fail(FAILED, f"{error}; {kept}")
         except KeyboardInterrupt:
-            tell(f"stopped at once; {kept}")  # its last few seconds of work are lost
+            tell(f"stopped at once; {kept}")  # the last few seconds of work are lost
             leave(128 + (interrupts.number or signal.SIGINT))
     if made is None:
         tell(f"stopped; {kept}")

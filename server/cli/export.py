@@ -33,7 +33,7 @@ def add(commands: Any) -> None:
         "--every-step",
         type=step_range,
         metavar="FROM:TO",
-        help="make these steps again, and write all of each: inputs, spikes, w, z, β, γ, the world",
+        help="recompute these steps and write everything: inputs, spikes, w, z, β, γ, the world",
     )
     export.set_defaults(run=run)
 

@@ -31,9 +31,9 @@ def add(commands: Any) -> None:
     figure = commands.add_parser(
         "figure",
         help="make one of the paper's figures: PNG, SVG and the CSV behind them",
-        description="Make one of the paper's figures, from runs of its own: PNG, SVG and the CSV "
-        "behind them, and what it comes to as one line of JSON. Ctrl-C ends it early; the same "
-        "command then goes on where it was.",
+        description="Make one of the paper's figures from new runs: PNG, SVG and the CSV "
+        "behind them, and the results as one line of JSON. Ctrl-C ends it early; the same "
+        "command then continues.",
         epilog=f"{INTERRUPTED} {EPILOG}",
         allow_abbrev=False,
     )
@@ -49,7 +49,7 @@ def add(commands: Any) -> None:
     figure.add_argument(
         "--preset",
         metavar="P",
-        help="a setting of the task (default the figure's own); with a switch as best:centred=no",
+        help="a configuration (default the figure's own); with a switch as best:centred=no",
     )
     figure.add_argument(
         "--lanes",
@@ -68,10 +68,10 @@ def add(commands: Any) -> None:
     figure.add_argument(
         "--quick",
         action="store_true",
-        help="a small version in less than a minute, once compiled, to try it",
+        help="a small version to try it out: less than a minute, once compiled",
     )
     add_scheduler(figure)
-    learning = figure.add_argument_group("of figure learning")
+    learning = figure.add_argument_group("options of figure learning")
     learning.add_argument("--task", metavar="T", help="a task by name, or your own as path.py:Name")
     add_hidden(learning)
     add_values(learning)

@@ -1,4 +1,4 @@
-"""`hebbviz inspect`: say what is in a recording."""
+"""`hebbviz inspect`: summarize a recording."""
 
 # ruff: noqa: PLC0415  # heavy modules are imported when they are needed: --help must be quick
 
@@ -17,19 +17,21 @@ from hebbviz.sims.program.terminal import FINE, prints_aside, say, user_can_mend
 def add(commands: Any) -> None:
     inspect = commands.add_parser(
         "inspect",
-        help="say what is in a recording",
-        description="Say what is in a recording: task, seed, length, changes, keyframes, final "
-        "figures, whether it is whole.",
+        help="summarize a recording",
+        description="Summarize a recording: task, seed, length, changes, keyframes, final "
+        "figures, and whether it is complete.",
         allow_abbrev=False,
     )
     add_recorded(inspect)
     add_own_rule(inspect)
-    inspect.add_argument("--json", action="store_true", help="say it as one line of JSON")
+    inspect.add_argument(
+        "--json", action="store_true", help="print the summary as one line of JSON"
+    )
     inspect.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Say what is in a recording."""
+    """Summarize a recording."""
     from hebbviz.server.recording.inspect import describe, figures
     from hebbviz.server.recording.reader import open_recording
 

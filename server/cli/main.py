@@ -1,7 +1,7 @@
 """The command line: each command is a module of this package.
 
 Exit codes: 0 success; 2 an error in what the user gave, explained in one line on stderr; 1 any
-other failure; 130, 143 and 129 a command that Ctrl-C, SIGTERM or SIGHUP ended. A recording that
+other failure; 130, 143 and 129 if Ctrl-C, SIGTERM or SIGHUP ended the command. A recording that
 had to stop, for lack of disk space for example, is reported on stderr and does not change the code:
 the run is complete. If stdout cannot be written, all work is done and saved as usual, and the code
 is 1, except for commands that show a page.
@@ -32,7 +32,7 @@ COMMANDS = (serve, train, replay, view, inspect, export, figure, sweep, bench)
 def program() -> NoReturn:
     """Run the process's command line, and end the process.
 
-    Python would first take apart what the system takes back anyway, for half a second.
+    Python's own clean-up takes half a second to free what the system frees anyway.
     """
     code = main()
     atexit._run_exitfuncs()  # noqa: SLF001  # there is no public way
@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _obey(argv: list[str]) -> int:
-    """The exit code of a command, its output aside."""
+    """Run a command; returns its exit code, output errors aside."""
     try:
         args = parse(argv)
         code: int = args.run(args)
@@ -76,12 +76,12 @@ def parse(argv: list[str]) -> argparse.Namespace:
 
 
 def shows_page(argv: list[str]) -> bool:
-    """Whether this is a command that shows a page."""
+    """Whether the command shows a page."""
     return _with_command(argv)[0] in ("serve", "replay", "view")
 
 
 def _with_command(argv: list[str]) -> list[str]:
-    """The command line in which the command is named."""
+    """The command line with the command named explicitly."""
     alone = {"-h", "--help", "--version"}
     is_named = bool(argv) and (not argv[0].startswith("-") or argv[0] in alone)
     return argv if is_named else ["serve", *argv]
@@ -91,7 +91,7 @@ def _parser() -> Parser:
     parser = Parser(
         prog="hebbviz",
         description="Watch a network of spiking neurons learn by itself. "
-        "Without a command: serve, with any of its options.",
+        "The default command is serve, with all of its options.",
         epilog=f"More: hebbviz COMMAND --help. {EPILOG}",
         allow_abbrev=False,
     )

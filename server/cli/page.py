@@ -1,4 +1,4 @@
-"""What the commands that show a page have in common."""
+"""Shared by the commands that show a page."""
 
 # ruff: noqa: PLC0415  # heavy modules are imported when they are needed: --help must be quick
 
@@ -30,7 +30,7 @@ def show_page(args: argparse.Namespace, prepare: Callable[[], Site]) -> int:
             with user_can_mend(args):
                 site = interrupts.prepare(prepare_aloud)
         except KeyboardInterrupt:
-            say("stopped before the page was open")
+            say("stopped before the page opened")
             leave(FINE)
         site.run(interrupts.stop, open_browser=not args.no_browser)
     if site.is_stuck:

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 def add(commands: Any) -> None:
     replay = commands.add_parser(
         "replay",
-        help="play a recording back in the page, and go on from any moment of it",
-        description="Play a recording back in the page: any step of it, made again from its "
-        "keyframes; go on from any moment.",
+        help="play a recording back in the page, and continue from any step of it",
+        description="Play a recording back in the page: any of its steps, recomputed from its "
+        "keyframes; continue the run from any step.",
         epilog=EPILOG,
         allow_abbrev=False,
     )

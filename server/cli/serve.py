@@ -47,7 +47,7 @@ def add(commands: Any) -> None:
         "--lanes",
         type=whole_number("lanes", 1, MOST_SHOWN_LANES),
         metavar="N",
-        help="how many replicas learn side by side, one of them watched (default 1)",
+        help="number of replicas that learn side by side; one is shown (default 1)",
     )
     add_page(serve)
     add_recording(serve)
@@ -57,7 +57,7 @@ def add(commands: Any) -> None:
         type=whole_number("port", 0, 65535),
         const=9876,
         metavar="PORT",
-        help="serve what is recorded to rerun's viewers on this machine too (default port "
+        help="also stream the recording to rerun viewers on this machine (default port "
         "%(const)s, 0 for any)",
     )
     serve.set_defaults(run=run)

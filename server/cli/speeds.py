@@ -1,8 +1,7 @@
-"""How fast this machine runs networks: every way there is of running them, timed in one run.
+"""How fast this machine runs networks: every way of running them, timed in one run.
 
-Speeds on a machine that others use too say little by themselves; ratios do. So all contestants are
-timed in turn, again and again, for a few hundredths of a second each, and the best turn of each
-counts.
+Absolute speeds mean little on a shared machine; ratios mean more. So all contestants are timed in
+turn, repeatedly, for a few hundredths of a second each, and the best turn of each counts.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from hebbviz.task.base import Task
 LANES = 64
 PRECISIONS: tuple[Any, ...] = (np.float64, np.float32)
 TURN_SECONDS = 0.04
-"""The first turn is one step, and each is four times the one before until it takes about this."""
+"""Turns start at one step and grow fourfold until one takes about this time."""
 FEWEST_TURNS = 12
 
 
@@ -44,7 +43,7 @@ class Contestant:
     run: Callable[[int], object]
 
     def seconds(self, steps: int) -> float:
-        """How long `steps` steps of all its networks take."""
+        """Seconds that `steps` steps of all its networks take."""
         began = time.perf_counter()
         self.run(steps)
         return time.perf_counter() - began
@@ -52,7 +51,7 @@ class Contestant:
 
 @dataclass(frozen=True)
 class Speed:
-    """What came of a contestant."""
+    """The result of a contestant."""
 
     key: str
     name: str
@@ -62,7 +61,7 @@ class Speed:
 
     @property
     def synaptic_updates_per_second(self) -> float:
-        """Every synapse counts at every step, however it is stored."""
+        """Every synapse counts at every step, in whatever form it is stored."""
         return self.synapses * self.network_steps_per_second
 
     @property
@@ -158,7 +157,7 @@ def lanes(
 
 
 def pendulums() -> Iterator[Contestant]:
-    """The world in pymunk, and the compiled one."""
+    """The world in pymunk, and the compiled world."""
     world = Pendulum("raw")
     yield lanes(world, "pymunk", "pendulum, in pymunk", 1)
     words = f"pendulum, compiled, {LANES} lanes, float32"
@@ -188,7 +187,7 @@ def reference(task: Task, key: str, name: str) -> Contestant:
     return Contestant(key, name, 1, topology.synapses, run)
 
 
-# What is said of them
+# Output
 
 
 def figures(speeds: Mapping[str, Speed], ratios: Sequence[Ratio] = RATIOS) -> dict[str, Any]:
@@ -210,7 +209,7 @@ def figures(speeds: Mapping[str, Speed], ratios: Sequence[Ratio] = RATIOS) -> di
 
 
 def table(speeds: Mapping[str, Speed], ratios: Sequence[Ratio] = RATIOS) -> str:
-    """The same to be read."""
+    """The same as a table to read."""
     lines = [f"{'':<38}{'network steps/s':>16}{'synaptic updates/s':>20}{'ns a step':>12}"]
     lines += [
         f"{s.name:<38}{s.network_steps_per_second:>16,.4g}{s.synaptic_updates_per_second:>20,.4g}"

@@ -30,10 +30,10 @@ def add(commands: Any) -> None:
     sweep = commands.add_parser(
         "sweep",
         help="map β against γ: how well each pair learns, as a heat map",
-        description="Map β against γ: run each pair many times over and tell how well it did over "
+        description="Map β against γ: run each pair many times and show how well it did over "
         "the last fifth of the steps, as a heat map (PNG, SVG), a CSV, and one line of JSON. A "
-        "learner of each point is saved, and the command that opens it in the page is told with "
-        "it. Ctrl-C ends it early; the same command then goes on where it was, and so does one "
+        "learner of each point is saved, together with the command that opens it in the page. "
+        "Ctrl-C ends the sweep early; the same command then continues, and so does one "
         "with other values.",
         epilog=f"{INTERRUPTED} {EPILOG}",
         allow_abbrev=False,

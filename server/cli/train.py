@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         if training.finished:
             code = _report(args, learner, training, interrupts)
         else:
-            saved = _save(args, learner) or "not saved, for want of --save"
+            saved = _save(args, learner) or "not saved: no --save was given"
             tell(f"stopped at step {learner.step:,}; {saved}")
             code = 128 + (interrupts.number or signal.SIGINT)
     if recorded.is_stuck:
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _recorded(args: argparse.Namespace, learner: Learner) -> Steps:
-    """What moves the learner on, and records it if that is asked for."""
+    """The object that advances the learner, and records it if requested."""
     from hebbviz.server.cli.training import Recorded, Unrecorded
 
     if args.record is None:
@@ -122,7 +122,7 @@ def _run(
     try:
         return train(steps, args.steps, stop=interrupts.stop, bar=bar)
     except TaskError as error:
-        saved = _save(args, learner) or "mend it and run it again"
+        saved = _save(args, learner) or "fix the task and run it again"
         what = f"{error}{place(args, error)}"
         raise InputError(f"{what}, at step {learner.step:,}; {saved}") from error
 
@@ -130,13 +130,13 @@ def _run(
 def _report(
     args: argparse.Namespace, learner: Learner, training: Training, interrupts: Interrupts
 ) -> int:
-    """Save, then find out how it does, then print. A signal ends the second at once."""
+    """Save, then evaluate, then print. A signal ends the evaluation at once."""
     from hebbviz.server.cli.training import describe, figures_of, own_figures, shown_calls
 
     failure = None
     try:
         saved = _save(args, learner)
-    except OSError as error:  # the figures are worth having all the same
+    except OSError as error:  # print the figures even so
         saved, failure = None, f"cannot save to {args.save}: {error.strerror or error}"
 
     def judge() -> dict[str, Any]:
@@ -147,7 +147,7 @@ def _report(
         with user_can_mend(args), prints_aside():
             own = interrupts.prepare(judge)
     except KeyboardInterrupt:
-        how = failure or saved or "not saved, for want of --save"
+        how = failure or saved or "not saved: no --save was given"
         tell(f"stopped at step {learner.step:,}, before a frozen copy was evaluated; {how}")
         leave(128 + (interrupts.number or signal.SIGINT))
     figures = figures_of(learner, training, task_name(args, learner))
@@ -159,7 +159,7 @@ def _report(
 
 
 def _check_save(args: argparse.Namespace) -> None:
-    """Find out before the training whether its result can be saved."""
+    """Check before the training that its result can be saved."""
     name: str | None = args.save
     if name is None:
         return
@@ -170,22 +170,22 @@ def _check_save(args: argparse.Namespace) -> None:
     if target.exists() and not is_loaded:
         raise InputError(
             f"{target} exists already and is not written over: name another file for --save, or "
-            f"go on with it by --load {name}"
+            f"continue it with --load {name}"
         )
     check_writable(target.parent)
 
 
 def _check_recording(args: argparse.Namespace) -> None:
-    """How to record says nothing where nothing is recorded."""
+    """Refuse recording options without a recording."""
     for option in ("budget", "detail"):
         if args.record is None and getattr(args, option):
             raise InputError(
-                f"--{option} is for a recording: name its file with --record, or leave it out"
+                f"--{option} needs a recording: name its file with --record, or leave it out"
             )
 
 
 def _save(args: argparse.Namespace, learner: Learner) -> str | None:
-    """Save if asked for, and say where; None if not asked for. Raises OSError."""
+    """Save if requested; returns a text that says where, or None. Raises OSError."""
     if args.save is None:
         return None
     from hebbviz.learner import saves

@@ -1,4 +1,4 @@
-"""Training without a page: as fast as it goes, and the figures at the end."""
+"""Training without a page: at full speed, with the figures at the end."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ STRETCH_SECONDS = 0.01
 """Aim for a recorded stretch of steps as long as this."""
 LONGEST_STRETCH = 200_000
 FRAME_SECONDS = 1.0 / 16.0
-"""A recording has sums over all steps so often."""
+"""Seconds between the sums over all steps in a recording."""
 
 Figures = dict[str, Any]
 """By name, and fit for strict JSON."""
@@ -46,7 +46,7 @@ Figures = dict[str, Any]
 
 @dataclass(frozen=True)
 class Training:
-    """What came of it: steps made of those asked for, their wall time, totals of the last fifth."""
+    """The result: steps made and requested, their wall time, totals of the last fifth."""
 
     steps: int
     seconds: float
@@ -55,7 +55,7 @@ class Training:
 
 
 class Unrecorded:
-    """Moves a learner on as fast as it goes."""
+    """Advances a learner at full speed."""
 
     is_stuck = False
 
@@ -73,7 +73,7 @@ class Unrecorded:
 
 
 class Recorded:
-    """Moves a learner on and records it; raises as `Recordings` does. Ends it whole on leaving."""
+    """Advances a learner and records it; raises as `Recordings` does. Finishes the file on exit."""
 
     def __init__(
         self,
@@ -92,7 +92,7 @@ class Recorded:
         self._stretch = 16
 
     def skip(self, steps: int) -> None:
-        """Run `steps` steps, with frames and moments for the recording."""
+        """Run `steps` steps, with frames and keyframes for the recording."""
         end = self.learner.step + steps
         while self.learner.step < end:
             made = len(self._run.advance(min(self._stretch, end - self.learner.step)).fired)
@@ -123,7 +123,7 @@ Steps = Unrecorded | Recorded
 
 
 def _factor(seconds: float) -> float:
-    """By which a stretch that took so long is made longer or shorter."""
+    """The factor for the next chunk's length, after one that took `seconds`."""
     return min(2.0, max(0.5, STRETCH_SECONDS / max(seconds, 1e-6)))
 
 
@@ -166,7 +166,7 @@ def _progress(steps: int, *, shown: bool) -> Iterator[Callable[[int], object]]:
 
 @contextlib.contextmanager
 def shown_calls(what: str, *, shown: bool) -> Iterator[None]:
-    """Show on stderr how far the long calls of learners in here are, one after the other."""
+    """Show the progress of learners' long calls in this block on stderr, one after the other."""
     if not shown:
         yield
         return
@@ -183,10 +183,10 @@ def shown_calls(what: str, *, shown: bool) -> Iterator[None]:
 
 
 def own_figures(learner: Learner, training: Training) -> Figures:
-    """The task's own figures; None is what was not measured or is infinite, as the time to an event
-    that was not seen.
+    """The task's own figures; None if not measured or infinite, such as the time to an event that
+    was not seen.
 
-    Raises TaskError if the task cannot tell them.
+    Raises TaskError if the task fails to give them.
     """
     task = learner.task
     try:
@@ -194,19 +194,19 @@ def own_figures(learner: Learner, training: Training) -> Figures:
         own = {str(name): _plain(value) for name, value in figures.items()}
     except Exception as error:
         what = f"{type(error).__name__}: {error}"
-        raise TaskError(f"task {task.name!r} cannot tell its results: {what}") from error
+        raise TaskError(f"task {task.name!r} failed to give its results: {what}") from error
     if training.late.steps == 0:
         own |= {key: None for key in task.measure.keys if key in own}
     return own
 
 
 def _plain(value: float) -> float | None:
-    """As JSON can say it: a count stays whole."""
+    """A JSON number: a count stays an integer."""
     return value if isinstance(value, int) else finite(value)
 
 
 def figures_of(learner: Learner, training: Training, task_name: str) -> Figures:
-    """What can be told of any run. `steps` were made now, `total_steps` since its start."""
+    """Figures of any run. `steps` were made now, `total_steps` since its start."""
     late, steps = training.late, training.steps
     return {
         "task": task_name,
@@ -231,7 +231,7 @@ def figures_of(learner: Learner, training: Training, task_name: str) -> Figures:
 
 
 def describe(figures: Figures, own: Figures, measure: Measure) -> str:
-    """Both, to be read."""
+    """Both as text to read."""
     lines = [
         f"{figures['task']} {figures['preset']}, {figures['network']}, seed {figures['seed']}, "
         + ("" if figures["lanes"] == 1 else f"the first of {figures['lanes']} lanes, ")

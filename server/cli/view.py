@@ -16,7 +16,7 @@ def add(commands: Any) -> None:
         "view",
         help="open a recording in rerun's web viewer, from this machine alone",
         description="Open a recording in the web viewer that comes with rerun, served on "
-        "127.0.0.1; nothing is sent outside.",
+        "127.0.0.1; nothing is sent to other machines.",
         allow_abbrev=False,
     )
     add_recorded(view)
@@ -28,7 +28,7 @@ def add(commands: Any) -> None:
         help="port to listen on (default any)",
     )
     add_access(view)
-    view.add_argument("--no-browser", action="store_true", help="open no browser")
+    view.add_argument("--no-browser", action="store_true", help="do not open a browser")
     view.set_defaults(run=run)
 
 

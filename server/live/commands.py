@@ -1,4 +1,4 @@
-"""What can be asked of a session besides changes of its run; each is checked when it is made."""
+"""Commands to a session other than changes of its run; each is checked on construction."""
 
 from __future__ import annotations
 
@@ -15,18 +15,20 @@ from hebbviz.sims.program.learner_from_arguments import MOST_SHOWN_LANES
 
 
 class Action(ABC):
-    """How the run is stepped and shown, or which run it is. It carries its target, not a toggle."""
+    """A command that controls how a run is stepped and shown, or which run it is. It carries its
+    target state, not a toggle.
+    """
 
     @abstractmethod
     def apply(self, session: Session) -> None:
-        """Do it; raises ValueError or TaskError where it cannot be done."""
+        """Carry it out; raises ValueError or TaskError if that is impossible."""
 
 
 Command = Change | Action
 
 
 def carry_out(command: Command, session: Session) -> None:
-    """Raises ValueError or TaskError where it cannot be."""
+    """Carry out a command; raises ValueError or TaskError if that is impossible."""
     if isinstance(command, Change):
         session.change(command)
     else:
@@ -62,9 +64,9 @@ class SetSpeed(Action):
 
 @dataclass(frozen=True)
 class Reset(Action):
-    """Start again with the set β, γ and rule, from the same seed or from another, with as many
-    lanes or another number: lane k of a seed is the same run whatever lanes are beside it, unless
-    the rule lets lanes touch each other. `switch` sets one of the task's switches.
+    """Start again with the current β, γ and rule, optionally with a new seed or another number of
+    lanes. Lane k of a seed is the same run whatever lanes are beside it, unless the rule lets lanes
+    touch each other. `switch` sets one of the task's switches.
     """
 
     seed: int | None = None
@@ -84,7 +86,7 @@ class Reset(Action):
 
 @dataclass(frozen=True)
 class Choose(Action):
-    """Another task, preset or network."""
+    """Choose another task, preset or network."""
 
     task: str
     preset: str | None = None
@@ -105,7 +107,7 @@ class Undo(Action):
 
 @dataclass(frozen=True)
 class SetWatch(Action):
-    """Play excerpts at a speed the eye can follow, while the run goes on."""
+    """Play excerpts at a speed the eye can follow, while the run continues."""
 
     on: bool
 
@@ -115,7 +117,7 @@ class SetWatch(Action):
 
 @dataclass(frozen=True)
 class SetWatchSpeed(Action):
-    """Steps per second of the excerpts."""
+    """Set the steps per second of the excerpts."""
 
     speed: float
 
@@ -145,7 +147,7 @@ class ShowBeginning(Action):
 
 @dataclass(frozen=True)
 class Evaluate(Action):
-    """See how a frozen copy does, while the run goes on."""
+    """Evaluate a frozen copy while the run continues."""
 
     def apply(self, session: Session) -> None:
         session.evaluate()
@@ -153,7 +155,7 @@ class Evaluate(Action):
 
 @dataclass(frozen=True)
 class WatchLane(Action):
-    """The lane that is shown."""
+    """Choose the lane that is shown."""
 
     lane: int
 
@@ -163,7 +165,7 @@ class WatchLane(Action):
 
 @dataclass(frozen=True)
 class NextLane(Action):
-    """Show the next lane, or with -1 the one before, round and round."""
+    """Show the next lane, or the previous one with -1; wraps around."""
 
     by: int = 1
 
@@ -173,7 +175,7 @@ class NextLane(Action):
 
 @dataclass(frozen=True)
 class Probe(Action):
-    """The synapses whose traces the tabs follow."""
+    """Set the synapses whose traces the tabs follow."""
 
     synapses: tuple[int, ...]
 
@@ -183,7 +185,7 @@ class Probe(Action):
 
 @dataclass(frozen=True)
 class Seek(Action):
-    """Show a step of the run; the run itself rests until it is taken over, or left for now."""
+    """Show a step of the run; the run itself pauses until takeover or return to now."""
 
     step: int
 
@@ -215,7 +217,7 @@ class SetLoop(Action):
 
 @dataclass(frozen=True)
 class BackToNow(Action):
-    """Leave the past and show the run where it is."""
+    """Leave the past and show the run's present."""
 
     def apply(self, session: Session) -> None:
         session.showing.back_to_now()
@@ -223,7 +225,7 @@ class BackToNow(Action):
 
 @dataclass(frozen=True)
 class TakeOver(Action):
-    """Go on live from the step that is shown."""
+    """Continue live from the step that is shown."""
 
     def apply(self, session: Session) -> None:
         session.take_over()
@@ -231,7 +233,7 @@ class TakeOver(Action):
 
 @dataclass(frozen=True)
 class StartFork(Action):
-    """Go on from what is shown in two copies that differ in one thing, see `fork`."""
+    """Continue from the step that is shown in two copies that differ in one setting, see `fork`."""
 
     kind: str
     value: float | None = None

@@ -1,4 +1,4 @@
-"""How a frozen copy does, found out beside the run: in a thread and on a learner of its own."""
+"""Evaluates a frozen copy beside the run, in its own thread and on its own learner."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from hebbviz.sims.loading import MakeTask
 from hebbviz.task.base import CompiledTask
 
 PAUSE_SECONDS = 2.0
-"""Between two evaluations of a task that asks for them all the time."""
+"""Seconds between two automatic evaluations."""
 PAUSE_SHARE = 3.0
-"""The pause lasts so many times as long as the evaluation: many lanes must not hold up the run."""
+"""The pause is this many times as long as the evaluation, so that many lanes do not slow the run.
+"""
 SHOWN_SECONDS = 1.0
-"""How far an evaluation is can be seen once it has lasted so long."""
+"""Progress is shown once an evaluation has taken this long."""
 
 
 @dataclass(frozen=True)
@@ -43,13 +44,13 @@ class Evaluator:
         self._done: list[Evaluation] = []
         self._run = object()
         self.progress: tuple[int, int] | None = None
-        """Steps made, and to be made, in an evaluation that takes long."""
+        """Steps made, and steps in total, of a long evaluation."""
 
     def is_free(self) -> bool:
         return self._thread is None or not self._thread.is_alive()
 
     def is_rested(self) -> bool:
-        """Whether it is free, and the pause after the last evaluation is over."""
+        """Whether it is free and the pause after the last evaluation is over."""
         pause = max(PAUSE_SECONDS, PAUSE_SHARE * self._lasted)
         return self.is_free() and time.monotonic() - self._ended_at > pause
 
@@ -61,7 +62,7 @@ class Evaluator:
         self._thread.start()
 
     def forget(self, after_step: int = -1) -> None:
-        """Drop the figures of steps after this one: all, for another run."""
+        """Drop the figures of steps after this one; by default all, for a new run."""
         with self._lock:
             self._run = object()
             self._done = [e for e in self._done if e.step <= after_step]
@@ -86,9 +87,9 @@ class Evaluator:
                 name: np.array(values, dtype=np.float64).reshape(copy.lanes)
                 for name, values in found.items()
             }
-        except Stopped:  # it is of a run that is no more
+        except Stopped:  # its run has been replaced
             pass
-        except Exception as error:  # of a task of the user's own, say
+        except Exception as error:  # from the user's own task, for example
             self._notice(f"the evaluation of a frozen copy failed: {type(error).__name__}: {error}")
         self.progress = None
         self._ended_at = time.monotonic()
@@ -99,5 +100,5 @@ class Evaluator:
 
 
 def evaluates_by_itself(learner: Learner) -> bool:
-    """Compiled tasks are evaluated again and again: it costs the run little."""
+    """Compiled tasks are evaluated repeatedly: it costs the run little."""
     return isinstance(learner.task, CompiledTask)

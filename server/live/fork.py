@@ -1,7 +1,7 @@
-"""Two copies of a learner from one moment, side by side, that differ in one thing.
+"""Two copies of a learner from the same step, side by side, that differ in one setting.
 
-The one is the run itself, which goes on. The other is told how far the run is, and goes there too;
-it draws the same numbers, so what they differ in is all that sets them apart.
+One copy is the run itself, which continues. The other follows it to the same step and draws the
+same random numbers, so that only the chosen setting separates them.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ KINDS = (BETA, GAMMA, NO_MEMORY, NO_REWARD, OTHER_REWARD)
 
 @dataclass(frozen=True)
 class Difference:
-    """The one thing: its kind, and the value of another β or γ."""
+    """The one setting: its kind, and the other value of β or γ."""
 
     kind: str
     value: float | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
-            raise ValueError(f"a fork differs in one of {', '.join(KINDS)}, got {self.kind!r}")
+            raise ValueError(f"a fork must differ in one of {', '.join(KINDS)}, got {self.kind!r}")
         if self.kind in (BETA, GAMMA):
             if self.value is None:
                 raise ValueError(f"a fork with {self.kind} needs its value")
@@ -44,7 +44,7 @@ class Difference:
 
     @property
     def change(self) -> Change | None:
-        """What is changed in the other copy; None where its rewards are what differs."""
+        """The change to the other copy; None if its rewards differ."""
         if self.kind in (BETA, NO_MEMORY):
             return SetBeta(self.value or 0.0)
         return SetGamma(self.value or 0.0) if self.kind == GAMMA else None
@@ -68,20 +68,20 @@ class Fork:
         self._donor = _donor(run) if difference.kind == OTHER_REWARD else None
         self._seen = Seen()
         self.tape: Tape | None = None
-        """Where its rewards are what differs the log does not tell all, and there is no tape."""
+        """None if the rewards differ: the log is then not enough to recompute the copy."""
         if difference.change is not None:
             self.tape = run.tape.until(self.start)
             self.keep()
             self._make(difference.change)
 
     def follow(self, step: int) -> None:
-        """Go on to the step that the run has come to. Raises TaskError if the task fails here."""
+        """Advance to the run's step. Raises TaskError if the task fails here."""
         steps = step - self.learner.step
         self.learner.advance(steps, reward=self._reward(steps))
         self.history.add(Totals.of(self.learner))
 
     def change(self, change: Change) -> None:
-        """What is changed in the run is changed here too, but for that in which they differ."""
+        """Apply a change of the run here too, unless it sets what the copies differ in."""
         if type(change) is not type(self.difference.change):
             self._make(change)
 
@@ -90,7 +90,7 @@ class Fork:
         self.log.append(Logged(self.learner.step, change))
 
     def keep(self) -> None:
-        """Put this moment on the tape."""
+        """Store a keyframe of the current step."""
         if self.tape is not None:
             self.tape.add(Moment(self.learner.keyframe(), len(self.log)))
 
@@ -100,11 +100,11 @@ class Fork:
         self._seen.forget()
 
     def frame(self) -> Frame:
-        """What is shown of it."""
+        """The frame that is shown."""
         return self._seen.see(self.learner.frame())
 
     def curve(self) -> Curve:
-        """The learning curve of the watched lane; what came before the fork is the run's own."""
+        """The learning curve of the watched lane; before the fork it is the run's own."""
         return self.history.curves(Totals.of(self.learner)).lane(self.learner.watch)
 
     def _reward(self, steps: int) -> NDArray[np.float64] | None:
@@ -116,9 +116,9 @@ class Fork:
 
 
 def _donor(run: Run) -> Learner:
-    """The same learner going on with other random numbers.
+    """The same learner, continuing with other random numbers.
 
-    The rewards of its first lane are taken, for all lanes of the other copy.
+    All lanes of the other copy get the rewards of its first lane.
     """
     learner = run.learner
     seed = (learner.seed + 1) % LARGEST_SEED

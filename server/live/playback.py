@@ -1,8 +1,8 @@
-"""Plays a run back: any of its steps, made again from the nearest moment of its tape.
+"""Plays a run back: any of its steps, recomputed from the nearest keyframe.
 
-What is played from a file is checked: from each keyframe the run is made again up to the next one,
-and must come out the same to the bit. Where it does not, on another type of machine, what was
-stored is shown.
+Playback from a file is checked: from each keyframe the run is recomputed up to the next one, and
+must match it to the bit. If it does not, for example on another type of machine, stored data is
+shown.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ from hebbviz.server.run.keyframes import Moment
 from hebbviz.server.run.run import Replay, Run
 
 FRAMES_OF_LEAD = 64
-"""Pictures in which the steps before a leap's target are made, for the plots."""
+"""Frames that cover the steps before a seek's target, for the plots."""
 CHECK_SECONDS = 0.006
-"""Of each picture's time, for checking what was made again against the next keyframe."""
+"""Share of each frame's time for comparing recomputed steps with the next keyframe."""
 SEARCH_SECONDS = 0.4
-"""How long the next reward is looked for."""
+"""Time limit of the search for the next reward."""
 LONGEST_STRETCH = 2_000
 FASTEST = 1e9
-"""Steps a second that are as many as can be made."""
+"""Steps per second that stand for full speed."""
 
 
 class Check(enum.Enum):
-    """Whether what is shown is known to be what was recorded."""
+    """Whether the steps that are shown are verified to be the recorded ones."""
 
-    OWN = "made again in the program that made it"
-    PENDING = "made again; being compared with the next keyframe"
-    GOOD = "made again, and compared with the next keyframe: the same to the bit"
-    DIFFERS = "made again it comes out otherwise: what was stored is shown"
+    OWN = "recomputed by the program that made it"
+    PENDING = "recomputed; being compared with the next keyframe"
+    GOOD = "recomputed, and identical to the next keyframe to the bit"
+    DIFFERS = "recomputing gives a different result: stored data is shown"
 
 
 class Player:
-    """Shows a run from `first` to `last` step; the run itself rests meanwhile."""
+    """Shows a run from `first` to `last` step; the run itself is paused meanwhile."""
 
     def __init__(self, run: Run) -> None:
         self._run, self._stored = run, run.stored
@@ -55,7 +55,7 @@ class Player:
 
     @property
     def why(self) -> str | None:
-        """Why the run comes out otherwise, where it does."""
+        """Why recomputing gives a different result, if it does."""
         if self._stored is None or self.check is not Check.DIFFERS:
             return None
         return self._stored.other_now
@@ -66,7 +66,7 @@ class Player:
         return self.replay.learner.step if self._shown is None else self._shown
 
     def seek(self, step: int) -> None:
-        """Show a step; it is made again with some before it, and seen by itself."""
+        """Show a step; it is recomputed with some steps before it, and shown alone."""
         step = min(max(step, self.first), self.last)
         self.trail.clear()
         self._owed, self._shown = 0.0, None
@@ -86,7 +86,7 @@ class Player:
         self._begin_check()
 
     def play(self, seconds: float, rate: float | None) -> Frame:
-        """Go on for a stretch of time at `rate` steps a second, None as fast as it goes."""
+        """Advance for some seconds at `rate` steps per second; None is full speed."""
         if self.playing:
             rate = FASTEST if rate is None else rate
             self._owed = min(self._owed + rate * seconds, rate * 0.25 + 1.0)
@@ -97,13 +97,13 @@ class Player:
         return frame
 
     def pause(self, paused: bool) -> None:
-        """Rest, or play on: at the end from the beginning."""
+        """Pause or resume; at the end, resume from the beginning."""
         if not paused and self.cursor >= self.last:
             self.seek(self.first)
         self.playing = not paused
 
     def step(self, steps: int) -> None:
-        """Go on by so many steps, and rest there."""
+        """Advance by this many steps, and pause there."""
         self.playing = False
         self._go(min(self.cursor + steps, self.last), steps)
 
@@ -115,13 +115,13 @@ class Player:
         return frame
 
     def next_change(self, direction: int) -> int | None:
-        """The step of the next change of the run, or of the one before; None if there is none."""
+        """The step of the next change of the run, or of the previous one; None if there is none."""
         steps = sorted({c.step for c in self._run.log if self.first <= c.step <= self.last})
         ahead = [s for s in steps if (s - self.cursor) * direction > 0]
         return (ahead[0] if direction > 0 else ahead[-1]) if ahead else None
 
     def next_reward(self) -> int | None:
-        """The step after which the next reward other than the usual comes; None if not soon."""
+        """The step before the next unusual reward; None if none is found in time."""
         replay = self._run.replay(self.replay.moment())
         until = time.monotonic() + SEARCH_SECONDS
         usual: float | None = None
@@ -138,11 +138,11 @@ class Player:
 
     def _moment(self, step: int) -> Moment:
         moment = self._run.tape.before(step)
-        assert moment is not None, "a tape has a first moment"
+        assert moment is not None, "a keyframe store has a first keyframe"
         return moment
 
     def _play_on(self, until: float) -> None:
-        """The steps that are owed, as far as time allows; at the end begin anew, or rest."""
+        """Play the due steps, as far as time allows; at the end start again, or pause."""
         while self._owed >= 1.0 and time.monotonic() < until:
             steps = int(min(self._owed, LONGEST_STRETCH))
             made = self._go(min(self.cursor + steps, self.last), steps)
@@ -154,7 +154,9 @@ class Player:
                 return
 
     def _go(self, step: int, each: int) -> int:
-        """Advance to a step, with a frame for the plots after each so many; returns how many."""
+        """Advance to a step, with a frame for the plots after every `each` steps; returns their
+        number.
+        """
         start = self.cursor
         if self._shown is not None:
             owed = self._owed
@@ -176,7 +178,9 @@ class Player:
     # Checking
 
     def _begin_check(self) -> None:
-        """Compare the stretch that is shown with the keyframe at its end, unless it was before."""
+        """Start to compare the chunk that is shown with the keyframe at its end, unless done
+        already.
+        """
         if self._stored is None:
             return
         start, end = self._moment(self.cursor), self._run.tape.after(self.cursor)
@@ -185,7 +189,7 @@ class Player:
         self._checker = None if known or end is None else (self._run.replay(start, end), end)
 
     def _check_on(self) -> None:
-        """Some of the comparing, in the time that a picture leaves."""
+        """Continue the comparison, within the time that a frame leaves."""
         if self._checker is None:
             if self.check is Check.GOOD and self._left_checked():
                 self._begin_check()
@@ -205,6 +209,6 @@ class Player:
             self.seek(self.cursor)
 
     def _left_checked(self) -> bool:
-        """Whether the cursor has gone on into a stretch that was not compared."""
+        """Whether the cursor has moved into a chunk that was not compared."""
         end = self._run.tape.after(self.cursor)
         return end is not None and end.step not in self._good

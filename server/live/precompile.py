@@ -1,4 +1,4 @@
-"""What a command needs is compiled beside the page, which goes on and says so."""
+"""Compiles the code that a command needs, in the background, with a status text for the page."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from hebbviz.server.run.run import Run
 from hebbviz.sims.program.compiling import announced_compiling, warm_up
 
 SHORT_SECONDS = 0.25
-"""What is compiled already is ready before this; it is waited for."""
+"""Code that is already compiled is ready within this time; the command waits for it."""
 
 
 Demanding = Choose | Reset | SetRule
-"""Commands after which other compiled code may be needed: of a task, a rule, a width of lanes."""
+"""Commands that may need new compiled code: for a task, a rule or a width of lanes."""
 
 
 class Preparation(threading.Thread):
-    """Has all compiled that is needed after a command, with a learner such as it makes."""
+    """Compiles the code that a command needs, with a learner like the one that it makes."""
 
     def __init__(self, command: Demanding, run: Run) -> None:
         super().__init__(name="hebbviz compiler", daemon=True)
@@ -29,12 +29,12 @@ class Preparation(threading.Thread):
         self._began, self._compiles = time.monotonic(), False
 
     def run(self) -> None:
-        # what is wrong is said once the command itself fails by it
+        # the command itself reports the error when it fails
         with contextlib.suppress(Exception), announced_compiling(self._note):
             warm_up(_foreseen(self.command, self._run))
 
     def is_ready(self) -> bool:
-        """Whether it is, or is within a short time."""
+        """Whether it is ready, or is within a short time."""
         self.join(SHORT_SECONDS)
         return not self.is_alive()
 
@@ -43,8 +43,8 @@ class Preparation(threading.Thread):
         first = ", on this machine only this first time" if self._compiles else ""
         seconds = time.monotonic() - self._began
         return (
-            f"{what} for {self.command}{first}: {seconds:.0f} s so far. The run rests, and what "
-            "you ask for is done after that"
+            f"{what} for {self.command}{first}: {seconds:.0f} s so far. The run is paused; "
+            "commands are carried out afterwards"
         )
 
     def _note(self) -> None:
@@ -52,7 +52,7 @@ class Preparation(threading.Thread):
 
 
 def prepare(command: Command, run: Run) -> Preparation | None:
-    """Begin what a command must wait for; None if it can be carried out at once."""
+    """Start the preparation that a command needs; None if it can be carried out at once."""
     if not isinstance(command, Demanding) or _asks_nothing_new(command, run.learner):
         return None
     preparation = Preparation(command, run)
@@ -61,15 +61,15 @@ def prepare(command: Command, run: Run) -> Preparation | None:
 
 
 def _asks_nothing_new(command: Demanding, learner: Learner) -> bool:
-    """Whether it goes with what is compiled: other parameters of the rule, the run anew."""
+    """Whether compiled code exists: for new parameters of the rule, or a reset."""
     if isinstance(command, SetRule):
         return command.rule.partition(":")[0] == learner.rule.name
     return isinstance(command, Reset) and command.lanes is None and command.switch is None
 
 
 def _foreseen(command: Demanding, run: Run) -> Learner:
-    """A learner, at its start, such as the run has after the command; with a task of its own, so
-    that another thread may step it.
+    """A learner at its start, like the run's after the command; it has its own task, so that
+    another thread may step it.
     """
     match command:
         case Choose(task, preset, hidden):

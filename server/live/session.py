@@ -1,6 +1,6 @@
-"""A run that is worked with: it is stepped in its tempo, looked at, and does what it is told.
+"""An interactive run: a session steps it at its speed, shows it, and carries out commands.
 
-There is one for all tabs. It knows no queue and no thread: whoever has it steps it and gives it
+There is one session for all tabs. It knows no queue and no thread: its owner steps it and passes it
 the commands one by one.
 """
 
@@ -26,17 +26,17 @@ from hebbviz.server.run.run import Run
 from hebbviz.server.web.rate_limits import Allowance
 
 SAME_GESTURE_SECONDS = 2.0
-"""Changes of one kind closer together than this are one: a slider being dragged, by a hand that may
-rest. (A page does not tell when it lets go.)
+"""Changes of one kind closer together than this count as one: a slider being dragged, with possible
+pauses. (A page does not report the release.)
 """
 
 RECORDINGS_A_MINUTE = 6
 
 
 class Session:
-    """A run, its tempo, what is shown of it and what is found out about it.
+    """A run, its pacing, its view mode and its findings.
 
-    `error` says what stopped it; `run_number` counts the runs that it became.
+    `error` says what stopped it; `run_number` counts the runs so far.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class Session:
         return self.showing.player is None and self.tempo.is_due()
 
     def go_on(self, seconds: float) -> None:
-        """Run for a stretch, so long after the stretch before."""
+        """Run a chunk of steps, `seconds` after the previous chunk."""
         steps = 0 if self.showing.player is not None else self.tempo.next(seconds)
         if steps < 1:
             return
@@ -95,23 +95,23 @@ class Session:
                 self.showing.fork.keep()
 
     def _follow(self) -> None:
-        """Let the other copy of a fork make as many steps; where it cannot, the fork ends."""
+        """Advance the other copy of a fork by the same steps; if that fails, the fork ends."""
         if self.showing.fork is None:
             return
         try:
             self.showing.fork.follow(self.run.learner.step)
         except TaskError as error:
-            self.notice(f"the fork has ended, as in the other copy {error}")
+            self.notice(f"the fork has ended: in the other copy, {error}")
             self.showing.fork = None
 
     def stop(self, error: str) -> None:
-        """Pause with an error to be shown; the run is at its last good step."""
+        """Pause and show an error; the run is at its last good step."""
         self.error = error
         self.tempo.pause(paused=True)
         self.notice(error)
 
     def find_out(self, live: Frame) -> None:
-        """What can be told beside the run, which has come to a frame."""
+        """Update the findings after a frame of the run."""
         learner = self.run.learner
         if live.since.steps:
             self.stuck.look(learner)
@@ -144,7 +144,7 @@ class Session:
             self.error = None
 
     def step(self, steps: int) -> None:
-        """Make so many steps of what is shown, which then rests."""
+        """Make this many steps of the run or its past, then pause."""
         if self.showing.player is not None:
             self.showing.player.step(steps)
         else:
@@ -152,16 +152,14 @@ class Session:
             self.error = None
 
     def set_speed(self, speed: Speed) -> None:
-        """Raises ValueError where the task has no time to be real."""
+        """Set the speed; raises ValueError for 'realtime' if the task has no time step."""
         task = self.run.learner.task
         if speed == REALTIME and task.dt is None:
-            raise ValueError(
-                f"task {task.name!r} has no time but its steps: choose max or steps per second"
-            )
+            raise ValueError(f"task {task.name!r} has no time step: choose max or steps per second")
         self.tempo.set_speed(speed)
 
     def _settle_speed(self) -> None:
-        """The speed at which a task opens, and that of its excerpts."""
+        """Set the initial speed of a task and of its excerpts."""
         task, watch = self.run.learner.task, self.showing.watch
         self.tempo.set_speed(MAX if task.natural_speed is None else task.natural_speed)
         watch.on = task.natural_speed is None
@@ -194,17 +192,17 @@ class Session:
             self._settle_speed()
 
     def take_over(self) -> None:
-        """The run goes on from what is shown of its past."""
+        """Continue the run from the past step that is shown."""
         player = self.showing.player
         if player is None:
-            raise ValueError("the run is shown where it is: there is nothing to take over")
+            raise ValueError("the run already shows its present: there is nothing to take over")
         step = player.cursor
         self.run.take_over(player.replay)
         self._renew(keep_evaluations_to=step)
         self.tempo.pause(paused=False)
 
     def begin_fork(self, difference: Difference) -> None:
-        """Go on from what is shown in two copies."""
+        """Continue from the step that is shown in two copies."""
         if self.showing.player is not None:
             self.take_over()
         self.showing.fork = Fork(self.run, difference)
@@ -223,21 +221,21 @@ class Session:
             self._renew()
 
     def start_recording(self, name: str) -> None:
-        """Each one takes a file and threads, so a page may not start them as fast as it can."""
+        """Start a recording; their rate is limited, because each takes a file and threads."""
         wait = self._begins_recordings.wait(time.monotonic())
         if wait:
-            most = f"at most {RECORDINGS_A_MINUTE} recordings may begin in a minute"
+            most = f"at most {RECORDINGS_A_MINUTE} recordings can start in a minute"
             raise ValueError(f"{most}: try again in {math.ceil(wait)} s")
         self.recordings.start_named(name)
 
     def evaluate(self) -> None:
-        """See how a frozen copy does, while the run goes on."""
+        """Evaluate a frozen copy while the run continues."""
         if not self.evaluator.is_free():
-            raise ValueError("a frozen copy is being evaluated: its figures come in a moment")
+            raise ValueError("a frozen copy is being evaluated: wait for its figures")
         self.evaluator.start(self.run.learner, self.run.task_name)
 
     def _renew(self, *, keep_evaluations_to: int = -1) -> None:
-        """After the run became another: forget what belonged to the one before."""
+        """After the run was replaced: forget the data of the previous one."""
         self.showing.begin()
         self.tempo.begin(self.run.learner.task.dt)
         self.evaluator.forget(keep_evaluations_to)

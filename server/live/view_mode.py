@@ -1,4 +1,4 @@
-"""What is shown of a run: the run as it is, an excerpt of it, a step of its past, or two copies."""
+"""The view of a run: its present, an excerpt of it, a step of its past, or two copies."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from hebbviz.server.run.keyframes import Moment
 from hebbviz.server.run.run import Run
 
 NOTHING_TO_PLAY = (
-    "the latest reward is played of a run that is shown live and alone: go back to now, or end the "
-    "fork"
+    "the latest reward can be played only for a live run without a fork: go back to now, or "
+    "end the fork"
 )
 
 
 class Event(enum.Enum):
-    """What can be looked for from the step that is shown."""
+    """Events that can be searched for from the step that is shown."""
 
-    CHANGE_BEFORE = "the change before"
-    NEXT_CHANGE = "the next change"
-    NEXT_REWARD = "the next reward"
+    CHANGE_BEFORE = "previous change"
+    NEXT_CHANGE = "next change"
+    NEXT_REWARD = "next reward"
 
 
 class Showing:
-    """While there is a `player` the run rests and its past is shown; with a `fork`, both copies."""
+    """With a `player` the run is paused and its past is shown; with a `fork`, both copies are."""
 
     def __init__(self, run: Run, on_notice: Callable[[str], None]) -> None:
         self._run, self._notice = run, on_notice
@@ -42,13 +42,13 @@ class Showing:
         self._probes: tuple[int, ...] = ()
 
     def begin(self) -> None:
-        """Show the run alone, as it is: it became another one."""
+        """Show the present of a new run, alone."""
         self.player = self.fork = None
         self._probe()
         self.forget()
 
     def forget(self) -> None:
-        """Forget what can be played, and what was shown."""
+        """Forget the excerpts and the recent frames."""
         self.watch.clear()
         self._forget_pictures()
 
@@ -58,12 +58,12 @@ class Showing:
         self.seen.forget()
 
     def note(self, moment: Moment, block: Block) -> None:
-        """Steps that the run just made, from a moment."""
+        """Note the steps that the run just made from a keyframe."""
         self.watch.note(moment, block)
         self.live_trail.note(block)
 
     def view(self, live: Frame, seconds: float, tempo: Tempo) -> View:
-        """What is shown after so much more time."""
+        """The view after `seconds` more."""
         self.live_trail.add(live)
         shown, trail = self._play(live, seconds, tempo)
         frame = self.seen.see(shown)
@@ -81,8 +81,8 @@ class Showing:
         )
 
     def _play(self, live: Frame, seconds: float, tempo: Tempo) -> tuple[Frame, Trail]:
-        """The past; or the excerpt's frame while one plays and the run is too fast to be seen;
-        else `live`.
+        """The frame of the past; or the excerpt's, while one plays and the run is too fast to
+        follow; otherwise `live`.
         """
         rate, go_on = tempo.rate, not tempo.paused
         is_alone = self.player is None and self.fork is None
@@ -114,7 +114,7 @@ class Showing:
         return Other(str(fork.difference), fork.start, fork.frame(), fork.curve())
 
     def watch_excerpts(self, *, on: bool) -> None:
-        """Play excerpts at a speed the eye can follow, while the run goes on."""
+        """Play excerpts at a speed the eye can follow, while the run continues."""
         self.watch.on = on
         if not on:
             self.watch.clear()
@@ -134,26 +134,26 @@ class Showing:
         self._probe()
 
     def look_at_next(self, by: int) -> None:
-        """Show the lane that comes so many later, round and round."""
+        """Show the lane `by` positions later; wraps around."""
         self.look_at((self._run.learner.watch + by) % self._run.learner.lanes)
 
     def visit(self) -> Player:
-        """Show the past of the run, which rests meanwhile."""
+        """Show the past of the run, which is paused meanwhile."""
         if self.player is None:
             if self.fork is not None:
-                raise ValueError("end the fork first: two copies have two pasts")
+                raise ValueError("end the fork first: the two copies have different pasts")
             self.player = Player(self._run)
         return self.player
 
     def seek_event(self, event: Event) -> None:
-        """Show the next or the former one, or say that none was found."""
+        """Show the next or previous event, or a notice that none was found."""
         player = self.visit()
         if event is Event.NEXT_REWARD:
             step = player.next_reward()
         else:
             step = player.next_change(1 if event is Event.NEXT_CHANGE else -1)
         if step is None:
-            self._notice(f"{event.value} was not found from step {player.cursor:,}")
+            self._notice(f"found no {event.value} from step {player.cursor:,}")
         else:
             player.seek(step)
 
@@ -162,10 +162,10 @@ class Showing:
         if self.player is not None or self.fork is not None:
             raise ValueError(NOTHING_TO_PLAY)
         if not self.watch.show_reward(self._run):
-            self._notice("no reward has come yet")
+            self._notice("there has been no reward yet")
 
     def look_at(self, lane: int) -> None:
-        """Show another lane: now, in excerpts, in the past, in both copies of a fork."""
+        """Show another lane: in the present, in excerpts, in the past, in both copies of a fork."""
         if lane == self._run.learner.watch:
             return
         self._run.look_at(lane)
@@ -177,6 +177,6 @@ class Showing:
             self.player.seek(self.player.cursor)
 
     def _probe(self) -> None:
-        """Follow those synapses that tabs ask for, of those that the network has."""
+        """Follow the requested synapses that exist in the network."""
         known = range(self._run.learner.topology.synapses)
         self._run.learner.probe([s for s in self._probes if s in known])

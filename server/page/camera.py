@@ -1,4 +1,4 @@
-"""Where a tab's camera stands to see the whole, the network or the world."""
+"""The position of a tab's camera for a view of the whole, the network or the world."""
 
 from __future__ import annotations
 
@@ -19,25 +19,27 @@ Array = NDArray[np.float64]
 OVERVIEW, NETWORK, WORLD = "overview", "network", "world"
 VIEWS = (OVERVIEW, NETWORK, WORLD)
 WHOLE_ASPECT = 0.8
-"""Width by height of a window in which a view is whole, of one copy; a narrower one looks from
-further away."""
+"""Width / height from which a window shows the whole view of one copy; in a narrower window the
+camera is further away.
+"""
 LABELS = 1.4
 """Room for the labels at the left of a network."""
 FURTHEST = 4.0
 SHEET, WITH_SHEET = 0.42, 0.6
-"""In a window of this width by height or less, the panels stand in a sheet over the lower part of
-the scene, of this share."""
+"""At this width / height or less, the panels are in a sheet that covers this share of the scene, at
+the bottom.
+"""
 FURTHER_WITH_SHEET = 1.15
-"""Room for the labels, which are as large in a narrow window as in another."""
+"""Room for the labels, which have the same size in windows of any width."""
 NEAR_ENOUGH = 0.02
-"""Of a camera to where it is to stand, in scene units."""
+"""Tolerated distance of a camera from its target position, in scene units."""
 SECONDS = 5.0
-"""For so long it is seen to that a tab's camera comes to stand where it is to."""
+"""A tab's camera is corrected for this long, until it is at its target position."""
 
 
 @dataclass
 class _Told:
-    """A view that a tab was turned to, and how wide its window was when it came to stand there."""
+    """The view that a tab was turned to, and the width of its window when the camera arrived."""
 
     view: str
     until: float
@@ -45,10 +47,10 @@ class _Told:
 
 
 class Cameras:
-    """Turns the tabs' cameras, and sees to it that they come to stand there.
+    """Turns the tabs' cameras, and checks that they arrive.
 
-    One that has just opened may go to its initial camera once more, and its panels may be about to
-    make its window narrower. What a hand does to a camera that has come to stand is left alone.
+    A tab that has just opened may reset to its initial camera once more, and its panels may make
+    its window narrower. Once the camera has arrived, the user's own movements are left alone.
     """
 
     def __init__(self) -> None:
@@ -60,11 +62,11 @@ class Cameras:
         look_at(client, view, snapshot)
 
     def forget(self, client: viser.ClientHandle) -> None:
-        """One that has gone."""
+        """Forget a tab that has left."""
         self._told.pop(client.client_id, None)
 
     def settle(self, client: viser.ClientHandle, snapshot: Snapshot) -> None:
-        """Turn it once more if it was turned lately, and does not stand there for want of that."""
+        """Turn a camera once more if it was turned lately and has not arrived."""
         told = self._told.get(client.client_id)
         if told is None:
             return
@@ -78,7 +80,7 @@ class Cameras:
 
 
 def aspect_of(client: viser.ClientHandle) -> float:
-    """Width by height of a tab's window; one that is hidden, and has no size, counts as whole."""
+    """Width / height of a tab's window; a hidden one, which has no size, counts as wide enough."""
     width, height = client.camera.image_width, client.camera.image_height
     return width / height if width and height else WHOLE_ASPECT
 
@@ -91,7 +93,7 @@ def look_at(client: viser.ClientHandle, view: str, snapshot: Snapshot) -> None:
 
 
 def _pose(client: viser.ClientHandle, view: str, snapshot: Snapshot) -> tuple[Array, Array]:
-    """Where one tab's camera is to stand, and what it is to look at."""
+    """The target position of a tab's camera, and the point that it looks at."""
     position, target = (np.array(p) for p in view_of(view, snapshot))
     wide = (
         WHOLE_ASPECT if snapshot.view.other is None else _wide_enough(client.camera.fov, snapshot)
@@ -99,7 +101,7 @@ def _pose(client: viser.ClientHandle, view: str, snapshot: Snapshot) -> tuple[Ar
     aspect = aspect_of(client)
     back = float(np.clip(wide / aspect, 1.0, FURTHEST))
     away = back * (position - target)
-    if aspect <= WITH_SHEET:  # the middle of what is above the sheet
+    if aspect <= WITH_SHEET:  # the middle of the part above the sheet
         away = FURTHER_WITH_SHEET * away
         height = 2.0 * np.linalg.norm(away) * np.tan(client.camera.fov / 2)
         target = target - (0.0, 0.0, 0.4 * SHEET * height)
@@ -112,7 +114,7 @@ def _stands_at(client: viser.ClientHandle, pose: tuple[Array, Array]) -> bool:
 
 
 def views(task: Task) -> tuple[str, ...]:
-    """Those of a task: without a world all of them are one."""
+    """The views of a task; without a world they are all the same."""
     return VIEWS if task.props else (OVERVIEW,)
 
 
@@ -129,7 +131,7 @@ def view_of(view: str, snapshot: Snapshot) -> tuple[Array, Array]:
 
 
 def _wide_enough(fov: float, snapshot: Snapshot) -> float:
-    """Width by height of a window in which two copies side by side are whole."""
+    """Width / height of a window that shows two copies side by side in full."""
     if snapshot.run.task.props:
         return 2 * WHOLE_ASPECT
     x = place(snapshot.run.live.topology).units[:, 0]

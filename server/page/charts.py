@@ -1,4 +1,4 @@
-"""Line charts on one x axis in steps: several curves, and a mark where something was changed."""
+"""Line charts on a common x axis in steps: several curves, and a mark at every change."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ Span = tuple[float, float]
 
 HEIGHT = 132
 WIDTH = 1.5
-"""Of a line, in pixels."""
+"""Width of a line, in pixels."""
 SHRINK = 0.4
 SHRINK_DRAWINGS = 40
-"""A vertical axis is made smaller when the curves did with this share of it so many times."""
+"""A vertical axis shrinks once the curves have needed only this share of it this many times."""
 ROOM = 0.25
-"""Left free above and below, as a share of the curves' height, so that they seldom leave."""
+"""Margin above and below, as a share of the curves' height, so that the axis seldom changes."""
 FLAT = 1e-3
 """Curves that differ by less than this share of their values are drawn flat."""
 NOTHING, ROOM_OF_NOTHING = 1e-12, 0.4
-"""Curves below the first are 0, and have room for values to come."""
+"""Curves below the first value count as 0, and leave room for later values."""
 WHOLE = (1.0, 2.0, 5.0, *(m * 10.0**k for k in range(1, 15) for m in (1, 2, 2.5, 5)))
 """Between the numbers of an axis of steps: there is no half a step."""
 MOST_DECADES = 4
-"""Of a logarithmic axis of steps: uPlot writes the numbers of more than these over each other."""
+"""Most powers of ten on a logarithmic axis of steps: with more, uPlot's labels overlap."""
 MARK_HEIGHT = 0.03
 MARK: Rgb = (150, 150, 160)
 CHANGED = "changed"
@@ -43,7 +43,7 @@ CURSOR: Rgb = (240, 72, 112)
 
 
 class Cursor(NamedTuple):
-    """A step, and the ends of the run that it is in."""
+    """A step, and the first and last step of its run."""
 
     at: float
     first: float
@@ -57,8 +57,9 @@ NO_BANDS: Mapping[str, tuple[Points, Points]] = {}
 UNNAMED = "hebbviz-unnamed"
 LEGENDS = f"""<style>.{UNNAMED} {{ display: none; }}
 .u-legend {{ pointer-events: none; }}</style>"""
-"""Keeps edges of bands, and what has no points yet, out of the legends, in which nothing can be
-switched off: the next drawing would bring it back. Each chart has it, for only tabs in front count.
+"""Hides edges of bands, and series without points, in the legends. It also disables switching
+series off there, because the next drawing would show them again. Each chart has this style, because
+only the tabs in front count.
 """
 NO_POINTS: Points = np.zeros(0), np.zeros(0)
 BAND_STRENGTH = 0.3
@@ -67,14 +68,14 @@ BAND_STRENGTH = 0.3
 class Chart:
     """A chart with fixed series, named and coloured; `draw` gives the points of each.
 
-    `container` is the tab or folder it stands in. Without a `span` its vertical axis holds still
-    until the curves leave it, and is then another: uPlot's own automatic range takes a NaN, which
-    leaves a point out, for a number. `log_steps`: a logarithmic horizontal axis, of steps above 0.
+    `container` is its tab or folder. Without a `span` the vertical axis stays fixed until the
+    curves leave it, and then changes: uPlot's own automatic range treats a NaN, which omits a
+    point, as a number. `log_steps`: a logarithmic horizontal axis, of steps above 0.
 
-    What differs is assigned to viser's plot, which takes another uPlot before the page is painted;
-    a plot that is removed and added would leave a hole on the page for a moment. The ends of the
-    horizontal axis are said with each drawing: those that viser's page would find for itself are
-    lost when data come in the moment in which a uPlot is made.
+    Only differences are assigned to viser's plot, which replaces its uPlot before the page is
+    painted; removing and adding a plot would leave a gap on the page for a moment. The ends of the
+    horizontal axis are sent with each drawing: the page's automatic ends are lost if data arrive
+    while a uPlot is being made.
     """
 
     def __init__(
@@ -124,7 +125,7 @@ class Chart:
         """Show the points of each series and a mark at each step of `marks`.
 
         `more` names and colours series besides the usual ones; `cursor` is drawn as a line upwards;
-        `bands` are the least and greatest around each of the banded series.
+        `bands` are the least and greatest values around each of the banded series.
         """
         colors = self._usual | dict(more)
         curves = {name: points.get(name, NO_POINTS) for name in colors}
@@ -153,7 +154,7 @@ class Chart:
         if len(seen):
             named.append(CHANGED)
         assign(self._plot, "series", self._series(colors, named, has_cursor=cursor is not None))
-        self._plot.scales = self._scales()  # also the same again: it is what makes a uPlot anew
+        self._plot.scales = self._scales()  # assigned even if unchanged: this makes a new uPlot
         self._plot.data = (x, *columns, _dots_on(x, seen, np.full(len(seen), MARK_HEIGHT)))
 
     def show(self, seen: bool) -> None:
@@ -164,7 +165,7 @@ class Chart:
         self._plot.remove()
 
     def _fit(self, values: Array) -> None:
-        """Another span of the vertical axis, if the values do not fit the one that is."""
+        """Change the span of the vertical axis if the values do not fit the current one."""
         values = values[np.isfinite(values)]
         if self._holds or len(values) == 0:
             return
@@ -188,8 +189,8 @@ class Chart:
     def _series(
         self, colors: Mapping[str, Rgb], named: Collection[str], *, has_cursor: bool
     ) -> tuple[uplot.Series, ...]:
-        """The axis, the curves, the cursor if there is one, and last the marks; in the legend are
-        those that are `named`.
+        """The axis, the curves, the cursor if there is one, and last the marks; the legend contains
+        the `named` ones.
         """
         cursor = uplot.Series(
             label="shown", stroke=css(CURSOR), width=2, points={"show": False}, scale="m"
@@ -218,7 +219,7 @@ class Chart:
         return line
 
     def _bands(self) -> tuple[uplot.Band, ...]:
-        """Each between two edges, which are the first of the series."""
+        """One band between each pair of edges, which come first in the series."""
         return tuple(
             uplot.Band(series=(2 * k + 2, 2 * k + 1), fill=css(self._usual[name], BAND_STRENGTH))
             for k, name in enumerate(self._banded)
@@ -240,12 +241,12 @@ class Chart:
 
 
 def _upright(cursor: Cursor) -> Array:
-    """Two places so close together that a line between them is upright."""
+    """Two x values so close together that a line between them is vertical."""
     return np.array([cursor.at, cursor.at + min(0.25, 1e-4 * (cursor.last - cursor.first))])
 
 
 def _around(low: float, high: float) -> Span:
-    """Round numbers outside of two numbers, with some room."""
+    """Round numbers that enclose two numbers with a margin."""
     room = max(high - low, FLAT * max(abs(low), abs(high)))
     if room < NOTHING:
         room = ROOM_OF_NOTHING
@@ -263,7 +264,7 @@ def _points(color: Rgb, size: int) -> Any:
 
 
 def _edge() -> Any:
-    """A side of a band: its place matters, it is not drawn itself."""
+    """An edge of a band: it sets the band's extent and is not drawn itself."""
     return {"label": "", "width": 0, "points": {"show": False}, "class": UNNAMED}
 
 
@@ -275,7 +276,7 @@ def _line_on(x: Array, own: Array, y: Array) -> Array:
 
 
 def _edges_on(x: Array, low: Points, high: Points) -> tuple[Array, Array]:
-    """As `_line_on`, but where there is no band its edges meet: a fill to a NaN goes astray."""
+    """As `_line_on`, but where there is no band its edges meet: uPlot misdraws a fill to a NaN."""
     own = low[0]
     if len(own) == 0:
         return np.full(len(x), np.nan), np.full(len(x), np.nan)

@@ -1,4 +1,4 @@
-"""How a mean time to an event is told: the estimate, the number of events, its 95 % interval."""
+"""Text for a mean time to an event: the estimate, the number of events, the 95 % interval."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def told(
     measure: Measure, estimate: tuple[float, float, float, float], write: Callable[[float], str]
 ) -> str:
-    """An estimate (value, events, low, high) in words; `write` writes a time."""
+    """An estimate (value, events, low, high) as text; `write` formats a time."""
     value, events, low, high = estimate
     if not events:
         return f"over {write(low)} (no {measure.event}, 95 %)"
@@ -28,6 +28,6 @@ def count(measure: Measure, events: float) -> str:
 
 
 def lanes_without(measure: Measure, values: NDArray[np.float64]) -> str:
-    """Of lanes whose estimates are `values` (lanes,): in how many nothing was counted, if any."""
+    """The number of lanes without an event, as text; `values` (lanes,) are their estimates."""
     none = int(np.isinf(values).sum())
     return f"no {measure.event} in {none} of {values.size} lanes" if none else ""

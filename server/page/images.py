@@ -1,4 +1,4 @@
-"""Pictures made of numbers: heat maps of synapses and the raster of spikes."""
+"""Images of arrays: heat maps of synapses and the spike raster."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def raster(
 ) -> Pixels:
     """The spikes of the latest steps, one row a neuron, newest at the right; (height, WIDTH, 3).
 
-    Groups differ in colour; a row above shows the rewards, the brighter the more, and the steps
-    of `changes`. What `rule` sends is not shown but where it is the reward, see `Block.events`.
+    Groups differ in colour; a row above shows the rewards, the brighter the more, and the steps of
+    `changes`. The signal that `rule` sends is shown only if it is the reward, see `Block.events`.
     """
     rows = topology.neurons
     row = max(2, min(RASTER_ROW, 150 // rows))

@@ -1,4 +1,4 @@
-"""What one tab has picked: a synapse or a neuron, followed live. Each tab has its own."""
+"""The inspector: a synapse or a neuron, followed live. Each tab has its own."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NEURON = "a neuron"
 
 
 class Inspector:
-    """A folder in one tab's panel: choose by click or from lists, then follow."""
+    """A folder in one tab's panel that follows a unit or synapse chosen by click or from lists."""
 
     def __init__(
         self, client: viser.ClientHandle, topology: Topology, names: tuple[str, ...]
@@ -34,7 +34,7 @@ class Inspector:
             self._kind = gui.add_dropdown("pick", kinds, initial_value=kinds[1 % len(kinds)])
             self._from = gui.add_dropdown("from", ("-",))
             self._to = gui.add_dropdown("to", ("-",))
-            self._text = gui.add_markdown("*click a neuron or a synapse, or choose above*")
+            self._text = gui.add_markdown("*Click a neuron or a synapse, or choose one above.*")
         self._chart = Chart(
             gui, self._folder, "z, its range, and w of the synapse",
             {"z": palette.TRACE_POSITIVE, "w": palette.WEIGHT_POSITIVE}, banded=("z",),
@@ -47,7 +47,7 @@ class Inspector:
         self._folder.remove()
 
     def pick_unit(self, unit: int) -> None:
-        """Follow a neuron (inputs too: what they send)."""
+        """Follow a neuron, or an input and its level."""
         if 0 <= unit < self._topology.units:
             self.synapse, self.neuron = None, unit
             assign(self._kind, "value", NEURON)
@@ -66,7 +66,7 @@ class Inspector:
 
     def draw(self, snapshot: Snapshot) -> None:
         """Show the numbers and the chart; a few times a second is enough."""
-        frame, synapse = snapshot.view.frame, self.synapse  # a hand may pick another meanwhile
+        frame, synapse = snapshot.view.frame, self.synapse  # the user may pick another meanwhile
         self._chart.show(synapse is not None)
         if synapse is None:
             self._text.content = self._neuron_words(frame)
@@ -84,7 +84,7 @@ class Inspector:
     # Choosing
 
     def _offer(self) -> None:
-        """Fill the lists for what is picked."""
+        """Fill the lists for the current pick."""
         if self._kind.value == NEURON:
             inputs, names = self._topology.inputs, self._names
             self._from.visible = False
@@ -100,7 +100,7 @@ class Inspector:
             assign(self._to, "value", self._names[self._post[self.synapse]])
 
     def _chosen(self) -> None:
-        """A list was changed by hand."""
+        """The user changed a list."""
         if self._kind.value == NEURON:
             on_units = self._to.value in self._names and self._from.visible is False
             self.neuron = self._names.index(self._to.value) if on_units else self._topology.inputs
@@ -140,9 +140,9 @@ class Inspector:
             ("z, eligibility trace", f"{frame.trace[synapse]:+.4f}"),
             (f"fired: {what_fired}", f"{fired * u_pre:+.4f}"),
             ("expected: −σ(v)·u_pre", f"{-expected * u_pre:+.4f}"),
-            ("together, into z", f"{(fired - expected) * u_pre:+.4f}"),
+            ("sum, added to z", f"{(fired - expected) * u_pre:+.4f}"),
             ("v, σ(v) of the neuron", f"{frame.potential[neuron]:+.3f}, {expected:.3f}"),
-            ("u_pre, a step before", f"{u_pre:+.3f}"),
+            ("u_pre, one step earlier", f"{u_pre:+.3f}"),
         )
         return f"**{self._names[pre]} → {self._names[post]}**\n\n" + _table(rows)
 
@@ -157,7 +157,7 @@ class Inspector:
         rate = frame.since.spikes[k] / steps if steps else 0.0
         rows = (
             ("v, potential", f"{frame.potential[k]:+.4f}"),
-            ("σ(v), chance to fire", f"{frame.probability[k]:.4f}"),
+            ("σ(v), probability to fire", f"{frame.probability[k]:.4f}"),
             ("drawn", f"{frame.draw[k]:.4f}"),
             (
                 "u, activity",
@@ -170,7 +170,7 @@ class Inspector:
 
 
 def _values(frame: Frame, synapse: int) -> tuple[float, float, float, float]:
-    """z at the end of a picture, its least and greatest in it where it was probed, and w."""
+    """z at the end of a frame, its least and greatest value in the frame where probed, and w."""
     z = float(frame.trace[synapse])
     low = high = z
     if synapse in frame.since.probes:

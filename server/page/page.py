@@ -1,7 +1,7 @@
-"""The page: one scene, panels and controls for all tabs; picks and camera for each.
+"""The page: one scene, panels and controls for all tabs; picks and a camera for each tab.
 
-The loop takes the worker's latest Picture and draws it; it may skip pictures, and it never touches
-the learner. What a tab clicks or types becomes a command.
+The loop draws the worker's latest snapshot; it may skip snapshots, and it never touches the
+learner. Clicks and typed values become commands.
 """
 
 from __future__ import annotations
@@ -34,19 +34,20 @@ from hebbviz.sims.figures import palette
 from hebbviz.sims.figures.palette import THEMES
 
 TEXT_SECONDS = 0.2
-"""Words and numbers change no more often than this, so that they can be read."""
+"""Text and numbers change no more often than this, so that they can be read."""
 COLUMN = 348
 """Width of the panels with the charts."""
 NOTICE_SECONDS = 6.0
 FAILED_SECONDS = 0.2
-"""What fails to be drawn, picture after picture, must not take the machine."""
+"""Pause after a failed drawing, so that repeated failures do not use up the CPU."""
 THEME_SECONDS = 0.6
-"""A page takes a while to change its theme: all is made anew once it is over. For a page that takes
-longer, each drawing of a chart makes its uPlot anew."""
+"""A browser takes a while to change its theme: everything is rebuilt after this time. If it takes
+longer, each drawing of a chart still makes a new uPlot.
+"""
 
 
 class Page:
-    """Draws a worker's run on a viser server until told to stop."""
+    """Draws a worker's run on a viser server until it is stopped."""
 
     def __init__(self, server: GuardedServer) -> None:
         self._server = server
@@ -71,7 +72,7 @@ class Page:
         self._notices.append(text)
 
     def run(self, worker: Worker, stop: threading.Event) -> None:
-        """Draw pictures until `stop` is set."""
+        """Draw snapshots until `stop` is set."""
         self._worker = worker
         number = 0
         while not stop.is_set():
@@ -80,12 +81,12 @@ class Page:
             if snapshot is not None:
                 number, self._visitors.snapshot = snapshot.number, snapshot
                 self._attempt("drawn", self._build if self._built is None else self._draw, snapshot)
-            self._attempt("told its notices", self._say_notices)
+            self._attempt("sent notices", self._say_notices)
             stop.wait(max(0.0, began + self._server.frame_seconds - time.monotonic()))
 
     def _attempt(self, what: str, draw: Callable[..., None], *given: Snapshot) -> None:
-        """What cannot be drawn, such as a pose that a task of the user's own gets wrong, is said
-        once, and the run goes on.
+        """Draw; report an error once, such as a wrong pose of the user's own task, and let the run
+        continue.
         """
         try:
             draw(*given)
@@ -107,7 +108,7 @@ class Page:
     # Building
 
     def _build(self, snapshot: Snapshot) -> None:
-        """Make the page; where that fails leave nothing of it, to be tried with another picture."""
+        """Make the page; if that fails, remove all of it, so that the next snapshot can retry."""
         try:
             self._build_parts(snapshot)
         except Exception:
@@ -143,7 +144,7 @@ class Page:
         self._rebuild(snapshot)
 
     def _make_tabs(self, snapshot: Snapshot) -> dict[str, Any]:
-        """Two panels beside the scene, one below the other, and the tabs that are wanted."""
+        """Two panels beside the scene, one above the other, with the wanted tabs."""
         upper, lower = self._beside = self._server.gui.add_panel(), self._server.gui.add_panel()
         made = {}
         for name in wanted_tabs(snapshot):
@@ -151,12 +152,12 @@ class Page:
             made[name] = (lower if tab.is_below else upper).add_tab(tab.title, tab.icon)
         upper.dock_left()
         lower.dock_below(upper)
-        for panel in self._beside:  # the width of the one is lost at times as the other docks
+        for panel in self._beside:  # one panel sometimes loses its width when the other docks
             panel.set_width(COLUMN)
         return made
 
     def _remake_tabs(self, snapshot: Snapshot) -> None:
-        """Other tabs, where the task asks for others."""
+        """Rebuild the tabs if the task needs different ones."""
         if tuple(self._tabs) != wanted_tabs(snapshot):
             for panel in self._beside:
                 panel.remove()
@@ -231,7 +232,7 @@ class Page:
                 self._write(snapshot)
 
     def _write(self, snapshot: Snapshot) -> None:
-        """All that is read: a few times a second."""
+        """Update all text, a few times a second."""
         self._text_at = time.monotonic()
         for follower in self._followers:
             follower.follow(snapshot)

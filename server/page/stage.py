@@ -25,9 +25,9 @@ from hebbviz.server.scene.reward_pulse import Pulse
 from hebbviz.server.scene.world import WorldScene
 
 RESELECT_SECONDS = 3.0
-"""How often the largest synapses of a large network are chosen anew."""
+"""How often the largest synapses of a large network are selected again."""
 BETWEEN_WORLDS, BETWEEN_NETWORKS = 2.75, 1.3
-"""Half of the distance between two copies; networks alone have half of their width more."""
+"""Half of the distance between two copies; without a world, half of their width is added."""
 
 Spot = tuple[float, float, float]
 Pick = Callable[[viser.ClientHandle, int], None]
@@ -35,14 +35,14 @@ Pick = Callable[[viser.ClientHandle, int], None]
 
 @dataclass(frozen=True)
 class Picks:
-    """Who is told of clicks on a unit and on a synapse."""
+    """Callbacks for clicks on a unit and on a synapse."""
 
     unit: Pick
     synapse: Pick
 
 
 class Stage:
-    """Draws one copy's frames under the scene's `root`, in the middle until it is moved."""
+    """Draws one copy's frames under the scene's `root`, centred until it is moved."""
 
     def __init__(
         self, scene: viser.SceneApi, root: str, snapshot: Snapshot, looks: Looks, picks: Picks
@@ -58,13 +58,13 @@ class Stage:
         self._scene.remove_by_name(self._root)
 
     def move(self, aside: float) -> None:
-        """Stand that far to the right of the middle."""
+        """Move this far to the right of the centre."""
         self._aside = aside
         self._network.move(self._network_at())
         self._world.move((aside, 0.0, 0.0))
 
     def name(self, title: str) -> None:
-        """What is said over the network, to tell this copy from another."""
+        """The title over the network, which identifies this copy."""
         self._title = title
         self._network.name(title)
 
@@ -74,7 +74,9 @@ class Stage:
         return len(self._network.drawn)
 
     def draw(self, frame: Frame, *, beside: Frame | None, leaps: int, still: bool) -> None:
-        """Show a frame, after so many leaps, to scales that fit the one beside it too."""
+        """Show a frame; `leaps` counts the discontinuities, and the scales fit the frame `beside`
+        it too.
+        """
         self._reselect(frame)
         self._network.draw(self.looks.look(frame, beside=beside, leaps=leaps))
         pose = self._task.pose(frame.world)
@@ -110,7 +112,7 @@ class Stage:
 
 
 class Scene:
-    """All that is drawn of a run."""
+    """Everything that is drawn of a run."""
 
     def __init__(self, scene: viser.SceneApi, picks: Picks) -> None:
         self._scene, self._picks = scene, picks
@@ -119,7 +121,7 @@ class Scene:
         self._other: Stage | None = None
 
     def build(self, snapshot: Snapshot, looks: Looks) -> None:
-        """Make it for a task, network or theme, in place of what was there."""
+        """Build the scene for a task, network or theme, and replace the previous one."""
         for stage in (self._this, self._other):
             if stage is not None:
                 stage.remove()
@@ -127,7 +129,7 @@ class Scene:
         self._this = self._new_stage("this", snapshot, looks)
 
     def forget(self) -> None:
-        """All was removed from the page."""
+        """Forget the scene: everything was removed from the page."""
         self._this = self._other = None
 
     @property
@@ -136,8 +138,8 @@ class Scene:
         return 0 if self._this is None else self._this.drawn
 
     def part_copies(self, snapshot: Snapshot) -> bool:
-        """With a fork two copies side by side, each with its name; without one the run alone.
-        Whether that has changed.
+        """Show two named copies side by side during a fork, and the run alone without one. Returns
+        whether that has changed.
         """
         stage, other = self._this, snapshot.view.other
         if stage is None or (other is None) == (self._other is None):
@@ -164,14 +166,14 @@ class Scene:
             self._other.draw(beside, beside=shown, leaps=leaps, still=still)
 
     def _new_stage(self, name: str, snapshot: Snapshot, looks: Looks) -> Stage:
-        """One under a number of its own: a tab lets what is made again under a name that it knows
-        stand where the former stood.
+        """A stage with a new number: a tab draws an object with a known name at the place of the
+        former one.
         """
         return Stage(self._scene, f"/{name} {next(self._numbers)}", snapshot, looks, self._picks)
 
 
 def half_apart(snapshot: Snapshot) -> float:
-    """How far each of two copies stands from the middle."""
+    """The distance of each of two copies from the centre."""
     if snapshot.run.task.props:
         return BETWEEN_WORLDS
     return BETWEEN_NETWORKS + float(np.ptp(place(snapshot.run.live.topology).units[:, 0])) / 2

@@ -1,4 +1,4 @@
-"""What the page says in words: what is shown, how the run fares, when it is stuck."""
+"""The page's text: what is shown, how the run is doing, whether it is stuck."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hebbviz.task.base import Measure, Score, Tally, Task
 Array = NDArray[np.float64]
 
 MOST_NAMED = 5
-"""Of the lanes that are stuck so many are named."""
+"""At most this many stuck lanes are listed."""
 
 
 def count(n: float) -> str:
@@ -74,7 +74,9 @@ def memory(beta: float, dt: float | None) -> str:
 
 
 def score(value: Score, measure: Measure) -> str:
-    """A measure over a stretch; a mean time to an event with how many came, and its interval."""
+    """A measure over some steps; a mean time to an event with the number of events and its
+    interval.
+    """
     if not measure.event:
         return amount(value.value, measure)
     return estimate((value.value, value.events or 0, *value.interval), measure)
@@ -86,7 +88,7 @@ def estimate(told: tuple[float, float, float, float], measure: Measure) -> str:
 
 
 def middle(values: Array, measure: Measure) -> str:
-    """The middle of lanes (lanes,), and in how many nothing was counted."""
+    """The middle of lanes (lanes,), and the number of lanes without an event."""
     found = middle_of(values, measure)
     without = event_text.lanes_without(measure, values)
     if math.isinf(found):
@@ -100,11 +102,11 @@ def amount(value: float, measure: Measure) -> str:
 
 
 def shown(snapshot: Snapshot) -> str:
-    """Which steps are seen, how many in one picture, and what the neurons' light means."""
+    """The steps that are shown, the number of steps in a frame, and the meaning of the light."""
     lengths = [f.since.steps for f in moved(snapshot.view.trail)]
     each = max(lengths[-1 if snapshot.pacing.paused else -3 :], default=1)
     light = "spikes" if each <= 3 else "firing rate"
-    scale = f"one picture = {steps(each)}, light = {light}"
+    scale = f"one frame = {steps(each)}, light = {light}"
     excerpt = snapshot.view.excerpt
     if snapshot.view.past is not None:
         return f"{_past(snapshot, snapshot.view.past)}{scale}"
@@ -119,7 +121,7 @@ def shown(snapshot: Snapshot) -> str:
 
 
 def _past(snapshot: Snapshot, past: Past) -> str:
-    """Where in the run the step is that is shown of the past, and what is known of it."""
+    """The position of the past step that is shown, and whether it was verified."""
     run, dt = snapshot.run, snapshot.run.task.dt
     time = f" · {clock(past.cursor * dt)}" if dt else ""
     state = "paused" if snapshot.pacing.paused else "playing"
@@ -134,7 +136,7 @@ def _past(snapshot: Snapshot, past: Past) -> str:
 
 
 def warning(snapshot: Snapshot) -> str | None:
-    """What must not be overlooked, None if all is well."""
+    """A warning, or None if all is well."""
     if snapshot.pacing.preparing is not None:
         return f"{snapshot.pacing.preparing}."
     if snapshot.pacing.error is not None:
@@ -150,7 +152,7 @@ def warning(snapshot: Snapshot) -> str | None:
 
 
 def besides(snapshot: Snapshot) -> list[str]:
-    """What goes on besides what is shown: other lanes, the other copy of a fork, a recording."""
+    """Other activity: other lanes, the other copy of a fork, a recording."""
     lines = []
     if snapshot.run.lanes > 1:
         lines.append(
@@ -159,8 +161,8 @@ def besides(snapshot: Snapshot) -> list[str]:
     if snapshot.view.other is not None:
         other = snapshot.view.other
         lines.append(
-            f"**two copies** since step {count(other.start)}: left this run, right the other, "
-            f"**{other.words}**"
+            f"**two copies** since step {count(other.start)}: this run at the left, "
+            f"the other at the right, **{other.words}**"
         )
     if snapshot.recording.is_on and snapshot.recording.status is not None:
         lines.append(f"{_dot(palette.PUNISHMENT)} recording")
@@ -168,11 +170,11 @@ def besides(snapshot: Snapshot) -> list[str]:
 
 
 def compared(snapshot: Snapshot, other: Other) -> str:
-    """How the two copies of a fork did, over all whole windows since it began."""
+    """Results of the two copies of a fork, over all whole windows since the fork."""
     curves = snapshot.run.curve, other.curve
     whole = [c.end - c.steps >= other.start for c in curves]
     if not all(w.any() for w in whole):
-        return f"The copies are compared after {steps(snapshot.run.curve.window)}."
+        return f"The comparison starts after {steps(snapshot.run.curve.window)}."
     said = [
         score(snapshot.run.task.score(_total(c, w)), snapshot.run.task.measure)
         for c, w in zip(curves, whole, strict=True)
@@ -184,14 +186,14 @@ def compared(snapshot: Snapshot, other: Other) -> str:
 
 
 def _total(curve: Curve, which: NDArray[np.bool_]) -> Tally:
-    """Of some windows together."""
+    """The totals over some windows."""
     columns = (curve.steps, curve.reward, curve.broadcast, curve.ended)
     totals = [float(c[which].sum()) for c in columns]
     return Tally(int(totals[0]), *totals[1:])
 
 
 def recorded(status: Status) -> str:
-    """How much was recorded, and what was thinned."""
+    """The size of the recording, and how it was thinned."""
     size = "" if status.size is None else f", {size_of(status.size)}"
     return f"{steps(status.steps)}{size}: {status.thinned}"
 
@@ -202,7 +204,7 @@ def time_of(task: Task, step: int) -> str:
 
 
 def stuck_lanes(snapshot: Snapshot) -> str | None:
-    """How many of the lanes are stuck, and which."""
+    """The number of stuck lanes, and which they are."""
     found = snapshot.findings.stuck
     if not found:
         return None
@@ -215,7 +217,7 @@ def stuck_lanes(snapshot: Snapshot) -> str | None:
 
 
 def stuck(frames: Sequence[Frame]) -> str | None:
-    """Why nothing is learnt any more, and what helps; None if the latest frames show no sign."""
+    """Why learning has stopped and what helps; None if the latest frames show no sign of it."""
     steps, spikes = 0, np.zeros(0)
     low, high = np.zeros(0), np.zeros(0)
     for frame in reversed(moved(frames)):
@@ -235,35 +237,35 @@ def _stuck(frame: Frame, rate: Array, low: Array, high: Array, steps: int) -> st
     outputs = rate[frame.topology.neurons_of(frame.topology.output)]
     found = sign(bool(np.isfinite(frame.weight).all()), outputs, low, high)
     if found is Sign.GONE:
-        return "The weights have grown beyond all numbers. Undo, or reset with a smaller γ."
+        return "The weights are no longer finite. Undo, or reset with a smaller γ."
     if found is Sign.CONSTANT:
         return (
             f"Stuck: all outputs have been constant over {count(steps)} steps, so their traces "
-            "hold next to nothing to learn from. What helps: undo, or reset with a smaller γ or "
+            "hold almost no information to learn from. Undo, or reset with a smaller γ or "
             "a shorter trace (smaller β)."
         )
     if found is Sign.SATURATED:
         return (
-            "More than half of the neurons are saturated: their spikes are certain and their "
-            "traces do not move. What helps: undo, or reset with a smaller γ."
+            "More than half of the neurons are saturated: their spikes are certain, so their "
+            "traces do not change. Undo, or reset with a smaller γ."
         )
     return None
 
 
 def health(pictures_per_second: float, age: float, tabs: int) -> str:
-    """The line that tells whether all is well with the page."""
+    """The line that shows the state of the page."""
     return (
-        f"`{pictures_per_second:4.1f} pictures/s` · `{1000 * age:3.0f} ms old` · "
+        f"`{pictures_per_second:4.1f} fps` · `{1000 * age:3.0f} ms old` · "
         f"{tabs} tab{'s' * (tabs != 1)}"
     )
 
 
 def speed(snapshot: Snapshot) -> str:
-    """What is asked for and what is reached; in the past, how fast it is played."""
+    """The speed reached; in the past, the playback speed."""
     if snapshot.view.past is not None:
         speed = snapshot.pacing.speed
         asked = speed if isinstance(speed, str) else f"{speed:g} steps/s"
-        return f"the past is played at `{asked}`"
+        return f"playback at `{asked}`"
     reached = f"`{short(snapshot.pacing.steps_per_second)} steps/s`"
     lanes, of_all = snapshot.run.lanes, short(snapshot.pacing.steps_per_second * snapshot.run.lanes)
     all_lanes = f"; × {lanes} lanes = `{of_all} lane-steps/s`" if lanes > 1 else ""
@@ -275,7 +277,7 @@ def speed(snapshot: Snapshot) -> str:
 
 
 def key(task: Task) -> str:
-    """What the colours mean."""
+    """The meaning of the colours."""
     p, dot = palette, _dot
     inputs = f" {dot(p.INPUT_POSITIVE)} {dot(p.INPUT_NEGATIVE)} input, a level"
     lines = (
@@ -289,9 +291,9 @@ def key(task: Task) -> str:
 
 
 def scales(looks: Looks, drawn: int) -> str:
-    """What the full sizes in the scene stand for, and how many of the synapses are drawn."""
+    """The scales of the scene, and the number of synapses that are drawn."""
     all_synapses = looks.topology.synapses
-    some = f"; the {count(drawn)} largest of {count(all_synapses)} synapses are drawn"
+    some = f"; showing the {count(drawn)} largest of {count(all_synapses)} synapses"
     return f"{looks.legend()}{some if drawn < all_synapses else ''}"
 
 

@@ -1,7 +1,6 @@
-"""How viser's page is dressed: its style, three short scripts, and a word when the server or the
-graphics are gone.
+"""The style of viser's page, three short scripts, and messages for a lost server or lost graphics.
 
-What viser draws is known here by the names that Mantine, its library, gives to the parts.
+The selectors use the class names of Mantine, viser's widget library.
 """
 
 from __future__ import annotations
@@ -9,18 +8,18 @@ from __future__ import annotations
 from hebbviz.server.page import camera
 
 STATUS_LINES = 4
-"""Room for so many lines of the status, so that nothing below it moves when it says less."""
+"""Room for this many lines of status text, so that a shorter text moves nothing below it."""
 
-GONE = """<div class="gone">The server is gone: this picture is the last one. Start hebbviz again
-and this page will go on by itself.</div>"""
-"""viser's page makes its panels deaf when it loses the server; that is when this is shown."""
+GONE = """<div class="gone">The connection to the server is lost: this is the last frame.
+Start hebbviz again and this page reconnects by itself.</div>"""
+"""Shown when the page has lost the server; viser's page then disables its panels."""
 
 LOST = """<style onload="document.addEventListener('webglcontextlost',
   () => document.body.classList.add('without-graphics'), true)"></style>
-<div class="lost">The browser has lost its graphics, and the scene is empty.
+<div class="lost">The browser has lost its graphics context, so the scene is empty.
 <a href="" onclick="location.reload()">Reload the page</a>.</div>"""
-"""Shown once a browser has taken the graphics away, as after sleep or a fault of a driver; viser
-does not make its scene again where it gives them back.
+"""Shown once a browser has dropped the graphics context, for example after sleep or a driver fault;
+viser does not rebuild its scene when the context returns.
 """
 
 _GONE = """
@@ -43,16 +42,16 @@ _SHEET = f"""
     width: 100% !important; }}
 }}
 """
-"""Narrow windows have viser's panels in a sheet that opens over the scene, and that no server can
-close; it is kept so low that the scene is seen above it, see `camera`.
+"""In narrow windows viser puts its panels in a sheet over the scene, which no server can close; its
+height is limited so that the scene stays visible above it, see `camera`.
 """
 
 _SLIDERS = """
 .mantine-Slider-root:not(:has(.mantine-Slider-markWrapper:nth-child(2):last-child))
   + .mantine-NumberInput-root { display: none; }
 """
-"""The box beside a slider stays where its marks are its two ends. Elsewhere it would hold a
-logarithm, or a step of more digits than it has room for; what may be typed has its own field.
+"""The number box beside a slider is shown only if the slider's marks are its two ends. Other boxes
+would show a logarithm, or a step with more digits than fit; those values have their own text field.
 """
 
 _BUTTONS = """
@@ -64,18 +63,18 @@ _BUTTONS = """
   --button-bd: 1px solid color-mix(in srgb, var(--mantine-color-dimmed) 60%, transparent)
     !important; }
 """
-"""Buttons are quiet but for those that were given a colour."""
+"""Buttons are plain unless they have a colour of their own."""
 
 _LABELS = """
 [data-mantine-color-scheme="light"] body { --mantine-color-dimmed: #5a6068; }
 [data-mantine-color-scheme="dark"] body { --mantine-color-dimmed: #a4a8b0; }
 """
-"""Labels of more contrast than viser's, at least 4.5 to 1."""
+"""Labels with more contrast than viser's, at least 4.5 to 1."""
 
 ARROWS = """<style onload="document.body.onkeydown = (event) => {
   if (event.key.startsWith('Arrow') && event.target.closest('[role=slider], [role=tab]'))
     event.stopPropagation(); }"></style>"""
-"""An arrow key that moves a slider does not turn the camera too, which listens further out."""
+"""Keeps an arrow key that moves a slider from turning the camera too."""
 
 WHOLE = """<style onload="if (!window.hebbvizTyping) {
   const held = window.hebbvizTyping = new Map();
@@ -114,13 +113,14 @@ WHOLE = """<style onload="if (!window.hebbvizTyping) {
       tell(event.target); });
   listen('change', leave);
   listen('focusout', leave); }"></style>"""
-"""What is typed into a field is kept from viser, which would send every key; and viser's own values
-and carets from a field that is clicked or typed into. On Enter and as the field is left, the
-browser tells of a change; that viser hears, and sends the whole. What was typed and taken back is
-no change: then the field shows what came late. A field for numbers takes only what changed since
-the last key, between the carets then and now: so a key is made up at which all was selected.
+"""Keeps typed characters from viser, which would send every key, and keeps viser's values and
+carets from a field in use. On Enter, or when the field loses focus, the browser fires a change
+event; viser handles it and sends the whole value. Text that was typed and then reverted fires no
+change event: the field then shows the value that arrived meanwhile. A number field takes only the
+characters between the carets of the last key and now, so a synthetic key with everything selected
+precedes the change.
 """
 
 STYLE = f"<style>{_GONE}{_STATUS}{_SHEET}{_SLIDERS}{_BUTTONS}{_LABELS}</style>"
 PAGE = f"{STYLE}{ARROWS}{WHOLE}{LOST}{GONE}"
-"""To be put above the status."""
+"""Inserted above the status."""

@@ -1,4 +1,4 @@
-"""Drawings in SVG of two vectors: the angle between them, and their parts side by side."""
+"""SVG drawings of two vectors: the angle between them, and their components side by side."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ ESTIMATE: Rgb = palette.SERIES[1]
 DIAL, ARROW = 132, 56.0
 """Width of the dial and length of its arrows."""
 WIDTH, MARGIN, ROW, LETTER = 340, 18, 17, 6.0
-"""Of the bars: the whole picture, what is free at its right, a row, and a letter of a name."""
+"""Sizes of the bar chart: full width, right margin, height of a row, width of a letter."""
 LONGEST_NAME = 28
 
 
 def dial(degrees: float, theme: Theme) -> str:
-    """The estimate's arrow, so many degrees from the truth's, which points to the right."""
+    """The estimate's arrow, at this angle to the exact gradient's, which points to the right."""
     middle, floor = DIAL / 2, ARROW + 8
     known = math.isfinite(degrees)
     turn = math.radians(degrees) if known else 0.0
@@ -58,9 +58,9 @@ def bars(
     names: Sequence[str], truth: Array, estimate: Array | None, mark: Array, full: float,
     theme: Theme,
 ) -> str:  # fmt: skip
-    """A row for each name: the truth's bar, the estimate's below it, and a `mark` across both.
+    """A row for each name: the exact gradient's bar, the estimate's below it, a `mark` across both.
 
-    Zero is in the middle, `full` at either end; a bar that is longer is cut off with a point.
+    Zero is in the middle, `full` at either end; a longer bar is cut off and ends in a point.
     """
     short = [n if len(n) <= LONGEST_NAME else f"{n[: LONGEST_NAME - 1]}…" for n in names]
     left = 8 + LETTER * max(map(len, short))
@@ -89,7 +89,7 @@ def bars(
     ]
     return (
         f'<svg viewBox="0 0 {WIDTH} {height + 16}" width="100%" font-size="10.5" role="img" '
-        f'aria-label="truth and estimate of each synapse">{"".join(parts)}</svg>'
+        f'aria-label="exact gradient and estimate of each synapse">{"".join(parts)}</svg>'
     )
 
 

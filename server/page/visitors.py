@@ -1,4 +1,4 @@
-"""Who looks at the page: each tab has picks, an inspector and a camera of its own."""
+"""The tabs that show the page: each has its own picks, inspector and camera."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ from hebbviz.server.scene.appearance import unit_names
 from hebbviz.server.web.guard import GuardedServer
 
 INSPECTORS_AT_ONCE = 8
-"""Of more, some are renewed in turn."""
+"""With more inspectors than this, they are updated in turn."""
 
 
 class Visitors:
-    """The tabs that are open. `picture` is the latest; `lock` is held while the page is drawn."""
+    """The tabs that are open. `snapshot` is the latest one; `lock` is held while the page is
+    drawn.
+    """
 
     def __init__(self, server: GuardedServer, lock: threading.RLock, send: Send) -> None:
         self._server, self._lock, self._send = server, lock, send
@@ -31,12 +33,12 @@ class Visitors:
         self._probes: tuple[int, ...] = ()
 
     def begin(self) -> None:
-        """Welcome those who come from now on."""
+        """Set up every tab that connects from now on."""
         self._server.on_client_connect(self._welcome)
         self._server.on_client_disconnect(self._disconnected)
 
     def follow(self, snapshot: Snapshot, *, look_again: bool) -> None:
-        """The page was built again, for a picture; the cameras go back if they are to."""
+        """Follow a rebuilt page; the cameras return to their start if `look_again`."""
         self._built = snapshot
         position, target = camera.view_of(camera.OVERVIEW, snapshot)
         self._server.initial_camera.position = position
@@ -47,7 +49,7 @@ class Visitors:
             self.look_again()
 
     def look_again(self) -> None:
-        """All cameras go back to where they begin."""
+        """Return all cameras to their initial position."""
         for client in self._server.get_clients().values():
             self.look_at(client, camera.OVERVIEW)
 
@@ -57,7 +59,7 @@ class Visitors:
             self._cameras.turn(client, view, self.snapshot)
 
     def draw(self, snapshot: Snapshot) -> None:
-        """Renew the inspectors, let the cameras come to rest, and ask for what is inspected."""
+        """Update the inspectors, settle the cameras, and probe the inspected synapses."""
         inspectors = tuple(self._inspectors.values())
         count = min(len(inspectors), INSPECTORS_AT_ONCE)
         for k in range(count):
@@ -94,7 +96,7 @@ class Visitors:
         self.look_at(client, camera.OVERVIEW)
 
     def _connected(self, client: viser.ClientHandle) -> None:
-        """Give a tab an inspector, unless the page is about to be built again."""
+        """Give a tab an inspector, unless the page is about to be rebuilt."""
         with self._lock:
             old = self._inspectors.pop(client.client_id, None)
             if old is not None:
@@ -106,7 +108,7 @@ class Visitors:
             built = self._built.run
             topology = built.live.topology
             if self.snapshot.run.live.topology != topology:
-                return  # the page is about to be built again
+                return  # the page is about to be rebuilt
             names = unit_names(topology, tuple(i.name for i in built.task.inputs))
             inspector = Inspector(client, topology, names)
             self._inspectors[client.client_id] = inspector

@@ -1,7 +1,8 @@
-"""What all controls share: a widget becomes a command, and follows what holds.
+"""Shared by all controls: a widget sends a command, and follows the run's state.
 
 One run serves all tabs, so a widget shows the run's state, whoever changed it. A callback only
-makes a command; a value that is refused is said in a notice and the widget goes back.
+makes a command; if a value is refused, a notice says so and the widget returns to the current
+value.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from hebbviz.server.live.commands import Command
 from hebbviz.server.live.snapshot import Snapshot
 
 QUIET_SECONDS = 2.5
-"""A widget that was just moved by hand is not set back to the run's value before this."""
+"""A widget that the user just moved is not reset to the run's value before this time."""
 
 Send = Callable[[Command], None]
 Notify = Callable[[str], None]
 
 
 class Widgets:
-    """Ties widgets of one panel to commands, and keeps them from being moved under a hand."""
+    """Connects widgets of one panel to commands, and leaves widgets in use alone."""
 
     def __init__(self, gui: viser.GuiApi, send: Send, notify: Notify) -> None:
         self.gui, self._send, self._notify = gui, send, notify
@@ -36,22 +37,22 @@ class Widgets:
 
     @property
     def snapshot(self) -> Snapshot:
-        """What holds; raises ValueError before anything does."""
+        """The current snapshot; raises ValueError before there is one."""
         if self._snapshot is None:
-            raise ValueError("the run is only starting: try again in a moment")
+            raise ValueError("the run is still starting: try again in a moment")
         return self._snapshot
 
     def follow(self, snapshot: Snapshot) -> None:
-        """Take note of what holds, before any widget is set to it."""
+        """Store the current snapshot, before any widget is updated."""
         if self._snapshot is not None and self._snapshot.run.number != snapshot.run.number:
-            self._touched.clear()  # after an undo or a reset, what was typed before is past
+            self._touched.clear()  # an undo or a reset makes earlier input obsolete
         self._snapshot = snapshot
 
     def when(self, handle: Any, command: Callable[[Any], Command | None]) -> None:
-        """Send what `command` makes of a widget's new value, when a page changed it.
+        """Send the command that `command` makes from a widget's new value, when a page changed it.
 
-        A page sends what is typed once it is whole, on Enter or as the field is left (`style`). A
-        value that is refused, wiped out, or what holds already leaves its field again.
+        A page sends typed text on Enter or when the field loses focus (`style`). If a value is
+        refused, empty or unchanged, the field returns to the current value.
         """
         key = _key(handle)
 
@@ -83,7 +84,7 @@ class Widgets:
         return handle
 
     def attempt(self, command: Callable[[], Command | None]) -> bool:
-        """Make a command and send it, and say whether there is one; what is refused is a notice."""
+        """Make a command and send it; returns whether there is one. A refusal becomes a notice."""
         try:
             made = command()
         except ValueError as error:
@@ -94,7 +95,7 @@ class Widgets:
         return made is not None
 
     def _put_back(self, handle: Any) -> None:
-        """Show what holds again, also on a page that had something else typed in."""
+        """Show the current value again, also on a page where another value was typed."""
         key = _key(handle)
         if key in self._holds:
             self._touched.pop(key, None)
@@ -103,9 +104,10 @@ class Widgets:
             _tell_again(handle)
 
     def put(self, handle: Any, value: Any, *, quiet: float = QUIET_SECONDS) -> None:
-        """Set a widget to what holds, when that has become another or was lately touched by hand.
+        """Set a widget to the current value, if that has changed or the user touched the widget
+        lately.
 
-        A widget that merely differs is left alone: a hand may be at it.
+        A widget that merely differs is left alone: somebody may be using it.
         """
         key = _key(handle)
         self._holds[key] = value
@@ -123,7 +125,7 @@ class Widgets:
 
 
 def _key(handle: Any) -> str:
-    """What no other widget has, before it or after it."""
+    """A key that no other widget ever has."""
     uuid: str = handle._impl.uuid  # noqa: SLF001
     return uuid
 
@@ -147,8 +149,8 @@ def _on_arrival(handle: Any, act: Callable[[Any], None]) -> None:
 
 
 def _tell_again(handle: Any) -> None:
-    """Send pages the value that a widget has here: one that crossed what a hand was doing there
-    may have come last, and viser sends none that is the same here.
+    """Send pages the value that a widget has here: the user's input may have crossed an earlier
+    update, and viser does not send an unchanged value.
     """
     impl = handle._impl  # noqa: SLF001
     update = GuiUpdateMessage(impl.uuid, {"value": impl.value})

@@ -480,7 +480,7 @@ def test_a_click_on_a_neuron_picks_it(page: Page, live: Live) -> None:
         page.mouse.move(x - 3, y - 3)
         page.mouse.click(x, y)
 
-    again(page, click, page.get_by_text("σ(v), chance to fire"))
+    again(page, click, page.get_by_text("σ(v), probability to fire"))
     assert "hidden 3" in text_of(page).partition("Inspect (this tab)")[2]
 
 
@@ -589,9 +589,9 @@ def test_the_rule_is_chosen_and_its_baseline_shown(page: Page, live: Live) -> No
     typed.fill("2e4")
     typed.press("Enter")
     eventually(page, lambda: live.snapshot.run.live.fall == 2e4)
-    page.get_by_text(re.compile("γ in force")).first.wait_for()
+    page.get_by_text(re.compile("effective γ")).first.wait_for()
     page.get_by_role("tab", name="Reward, rates").click()
-    page.get_by_text("what rule baseline keeps").first.wait_for()
+    page.get_by_text("memory of rule baseline").first.wait_for()
     for _ in range(3):
         before = live.snapshot.run.number
         press(page, "Undo")
@@ -600,13 +600,13 @@ def test_the_rule_is_chosen_and_its_baseline_shown(page: Page, live: Live) -> No
         page,
         lambda: (live.snapshot.run.live.rule, live.snapshot.run.live.fall) == (PAPER, math.inf),
     )
-    page.get_by_text("what rule baseline keeps").first.wait_for(state="detached")
+    page.get_by_text("memory of rule baseline").first.wait_for(state="detached")
     page.get_by_role("tab", name="Learning").click()
 
 
 def test_the_page_says_that_the_server_is_gone(page: Page, live: Live) -> None:
     """The last of these tests, for it ends what all of them look at."""
-    gone = page.get_by_text(re.compile("server is gone", re.IGNORECASE))
+    gone = page.get_by_text(re.compile("connection to the server is lost", re.IGNORECASE))
     expect(gone).to_have_count(1)
     expect(gone).not_to_be_visible()
     live.stop()

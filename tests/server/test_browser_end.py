@@ -40,7 +40,9 @@ def test_the_page_says_that_its_graphics_and_then_its_server_are_gone(browser: B
                 lost.click()
                 expect(page.get_by_text("steps/s").first).to_be_visible()
                 expect(lost).not_to_be_visible()
-                gone = page.get_by_text(re.compile("server is gone", re.IGNORECASE))
+                gone = page.get_by_text(
+                    re.compile("connection to the server is lost", re.IGNORECASE)
+                )
                 expect(gone).to_have_count(1)
                 expect(gone).not_to_be_visible()
                 server.send_signal(signal.SIGKILL)

@@ -93,8 +93,8 @@ def test_many_lanes_are_seen_whatever_is_chosen(site: Site, browser: Browser) ->
     with tab_at(browser, site.address, width=1100, height=640) as page:
         eventually(page, lambda: network_stands_at(page) == list(NETWORK_OVER_WORLD))
         worker(site).send(Choose("sonar"))  # a page that has just opened still moves its camera
-        eventually(page, lambda: latest(site).task_name == "sonar")
-        eventually(page, lambda: latest(site).live.step > 20_000)
+        eventually(page, lambda: latest(site).run.task_name == "sonar")
+        eventually(page, lambda: latest(site).run.live.step > 20_000)
         eventually(page, lambda: re.search(r"training error [\d.]{2,} %", text_of(page)))
         page.wait_for_timeout(1000 * camera.SECONDS)
         eventually(page, lambda: stands_at_the_overview(site))

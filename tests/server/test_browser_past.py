@@ -370,9 +370,9 @@ def test_a_recording_opens_in_its_past_and_is_checked(replayed: tuple[Page, Live
     see(page, live, 0)
     assert f"of 0–{STEPS:,}" in text_of(page)
     go_to(page, live, 1200)
-    eventually(page, lambda: "the same to the bit" in text_of(page))
+    eventually(page, lambda: "identical to the next keyframe to the bit" in text_of(page))
     assert "a recording, played back" in text_of(page)
-    assert page.get_by_role("button", name="Go on from its end").is_visible()
+    assert page.get_by_role("button", name="Continue from its end").is_visible()
 
 
 def test_a_recording_is_scrubbed_and_played(replayed: tuple[Page, Live]) -> None:

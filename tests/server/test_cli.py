@@ -176,7 +176,7 @@ def run(*args: object, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, st
 BAD: dict[str, str] = {
     # arguments: a part of the line that says why
     "sing": "'sing'",
-    "--task nope": "there is no task 'nope'; choose from pendulum, sonar, synapse",
+    "--task nope": "there is no task 'nope'; choose from pendulum, filtering, gradient",
     "--preset nope": "no preset 'nope'; choose from baseline, quick, raw, paper, literal",
     "--preset quick:gains=no": "has no switch 'gains'; it has none",
     "--task sonar --preset best:mean=no": "has no switch 'mean'; it has centred",
@@ -256,8 +256,8 @@ BAD: dict[str, str] = {
     "train --steps 9 --save {0}/a_folder": "--save must name a file",
     "train --steps 9 --save {0}/pole": "pole.npz exists already and is not written over",
     "train --steps 9 --load {0}/own --save {0}/pole": "is not written over: name another file for",
-    "train --steps 9 --budget 1MB": "--budget is for a recording: name its file with --record",
-    "train --steps 9 --detail light": "--detail is for a recording",
+    "train --steps 9 --budget 1MB": "--budget needs a recording: name its file with --record",
+    "train --steps 9 --detail light": "--detail needs a recording",
     "train --steps 9 --load {0}/absent": "cannot open {0}/absent: no such file",
     "train --steps 9 --load {0}": "is a directory",
     "train --steps 9 --load {0}/text.npz": "is not a learner saved by hebbviz",
@@ -705,7 +705,7 @@ def test_serve_from_python_takes_the_next_port_and_says_so(
 @pytest.mark.parametrize(
     ("options", "said", "in_link"),
     [
-        (["--host", "0.0.0.0"], "to look and change nothing: http://localhost:", "/?token="),
+        (["--host", "0.0.0.0"], "read-only link: http://localhost:", "/?token="),
         pytest.param(
             ["--host", "0.0.0.0", "--no-token"], "whoever reaches it can change the run and record",
             "localhost:", marks=pytest.mark.slow,
@@ -768,7 +768,7 @@ def test_the_terminal_tells_why_a_task_stopped_under_the_page(
     serve(learner, port=0, speed="max", stop=stop)
     stopper.join()
     last = capsys.readouterr().out.splitlines()[-1]
-    assert last.startswith("stopped at step 100, for task 'breaks' failed: KeyError: ")
+    assert last.startswith("stopped at step 100: task 'breaks' failed: KeyError: ")
 
 
 def test_serve_checks_what_it_is_given() -> None:

@@ -671,7 +671,7 @@ def test_what_is_asked_wrongly_is_a_notice() -> None:
     with bench(new_run("sonar")) as b:
         b.send(SetSpeed("realtime"), Choose("chess"), Press("Fly"), ShowReward())
         b.until(lambda _: len(b.notices) >= 3)
-        assert b.notices[0].startswith("task 'sonar' has no time but its steps")
+        assert b.notices[0].startswith("task 'sonar' has no time step")
         assert b.notices[1].startswith("there is no task 'chess'")
         assert b.notices[2].startswith("task 'sonar' has no control 'Fly'")
         step = b.until(lambda _: True).run.live.step

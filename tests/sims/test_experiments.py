@@ -333,7 +333,7 @@ def _die(*_):
 
 def test_workers_that_die_or_are_others_are_not_blamed_on_the_task(tmp_path, capsys, monkeypatch):
     argv = ["figure", "learning", "--task", LEVER, "--quick", "--out", str(tmp_path)]
-    kept = f"the same command goes on from what is kept in {tmp_path}"
+    kept = f"the same command continues from the results in {tmp_path}"
     with monkeypatch.context() as patch:
         patch.setattr(workers, "bring_on", _die)
         assert main(argv) == 1

@@ -322,7 +322,7 @@ def test_ctrl_c_and_the_same_command_again(tmp_path):
             process.kill()
     assert process.returncode == 130
     assert said == ""
-    assert f"stopped; the same command goes on from what is kept in {out}" in errors
+    assert f"stopped; the same command continues from the results in {out}" in errors
     sweep = Sweep.of(parse([*words, "--out", str(out)]))
     stop = threading.Event()
     points = [make(sweep, folder, stop)["points"] for folder in (out, tmp_path / "whole")]

@@ -1,4 +1,4 @@
-"""The controls of a run that goes on: what it runs, how it learns, and how it is watched."""
+"""The controls of a live run: what it runs, how it learns, and how it is viewed."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ N = TypeVar("N", int, float)
 
 
 class Controls:
-    """Builds the widgets of the main panel; `follow` shows what a Picture says."""
+    """Builds the widgets of the main panel; `follow` shows the state in a snapshot."""
 
     def __init__(self, widgets: Widgets, seed: int) -> None:
         self._ui, self._gui = widgets, widgets.gui
@@ -68,7 +68,7 @@ class Controls:
         with learning:
             self._build_learning()
         self._rule = RuleControls(widgets, learning)
-        self._task_folder = gui.add_folder("By hand")
+        self._task_folder = gui.add_folder("Task controls")
         self._task_folder_at = self._task_folder.order
         with self._task_folder:
             self._build_reward()
@@ -82,15 +82,17 @@ class Controls:
 
     def _build_run(self) -> None:
         gui = self._gui
-        self.task = gui.add_dropdown("task", tuple(TASKS.names), hint="the world to learn in")
-        self.preset = gui.add_dropdown("preset", ("quick",), hint="a setting of the task")
+        self.task = gui.add_dropdown(
+            "task", tuple(TASKS.names), hint="the world that the network learns in"
+        )
+        self.preset = gui.add_dropdown("preset", ("quick",), hint="a configuration of the task")
         self.preset_note = gui.add_markdown("")
         self.pause = gui.add_button(
             "Pause", icon=viser.Icon.PLAYER_PAUSE, color=palette.BRAND, hint="space"
         )
         self.steps = gui.add_button_group("step", ("1 step", "10", "100"), hint="N: one step")
         self.reset = gui.add_button(
-            "Reset", icon=viser.Icon.RESTORE, hint="R: same seed, keeps β, γ"
+            "Reset", icon=viser.Icon.RESTORE, hint="R: same seed, same β and γ"
         )
         self.undo = gui.add_button("Undo", icon=viser.Icon.ARROW_BACK_UP, hint="U")
         self.speed = gui.add_dropdown("speed", (MAX, REALTIME, *SPEEDS), hint="steps per second")
@@ -105,7 +107,9 @@ class Controls:
 
     def _build_learning(self) -> None:
         gui = self._gui
-        self.beta = gui.add_text("β", "0.98", hint="how much of a trace is left after a step")
+        self.beta = gui.add_text(
+            "β", "0.98", hint="the fraction of a trace that remains after a step"
+        )
         self.memory = gui.add_slider(
             "β by memory", SHORTEST, LONGEST, 0.01, 1.7,
             marks=((0.0, "1"), (1.0, "10"), (2.0, "100"), (3.0, "1000"), (4.0, "10⁴")),
@@ -118,7 +122,7 @@ class Controls:
             marks=tuple((float(k), f"1e{k}") for k in (-8, -6, -4, -2)),
             hint="γ, logarithmic",
         )  # fmt: skip
-        self.frozen = gui.add_checkbox("freeze learning", False, hint="F: γ is remembered")
+        self.frozen = gui.add_checkbox("freeze learning", False, hint="F: γ is restored afterwards")
         self._ui.when(self.beta, self._set_typed_beta)
         self._ui.when(self.memory, lambda v: SetBeta(round(1.0 - 10.0**-v, 6)))
         self._ui.when(self.gamma, self._set_typed_gamma)
@@ -138,11 +142,11 @@ class Controls:
         gui = self._gui
         self.lane = gui.add_number(
             "lane", 0, min=0, max=0, step=1, visible=False,
-            hint="which of the replicas is shown; G, H: the one before, the next",
+            hint="the replica that is shown; G: previous, H: next",
         )  # fmt: skip
         self._ui.when(self.lane, lambda v: WatchLane(int(v)))
         self.watch = gui.add_checkbox(
-            "watch", True, hint="while the run goes on, play excerpts that the eye can follow"
+            "watch", True, hint="play slow excerpts while the run continues at full speed"
         )
         self.watch_speed = gui.add_slider(
             "watch speed", 1.0, 200.0, 1.0, 50.0, hint="steps per second of the excerpts"
@@ -153,7 +157,7 @@ class Controls:
         self._ui.when(self.watch, lambda v: SetWatch(bool(v)))
         self._ui.when(self.watch_speed, lambda v: SetWatchSpeed(float(v)))
         self.evaluate = gui.add_button(
-            "Evaluate a frozen copy", icon=viser.Icon.SNOWFLAKE, hint="the run goes on meanwhile"
+            "Evaluate a frozen copy", icon=viser.Icon.SNOWFLAKE, hint="the run continues meanwhile"
         )
         self._ui.press(self.show_reward, ShowReward)
         self._ui.press(self.evaluate, Evaluate)
@@ -161,14 +165,14 @@ class Controls:
     def _build_more(self, seed: int) -> None:
         gui = self._gui
         self.typed_speed = gui.add_text("steps/s", MAX, hint="any speed, or max, or realtime")
-        self.seed = gui.add_text("seed", str(seed), hint="another seed starts a new run")
+        self.seed = gui.add_text("seed", str(seed), hint="a different seed starts a new run")
         self.new_seed = gui.add_button("New seed", icon=viser.Icon.DICE_5)
         self.hidden = gui.add_text("hidden", "8", hint="sizes of the hidden layers: 16 or 8,8")
         self.lanes = gui.add_number(
             "lanes", 1, min=1, max=MOST_SHOWN_LANES, step=1,
-            hint="how many replicas run side by side, each with random numbers of its own: "
-            "another number starts a new run, in which lane 0 is the same as before. A world that "
-            "is stepped in Python, the pendulum, takes so many times as long",
+            hint="the number of replicas that run side by side, each with its own random numbers. "
+            "Changing it starts a new run; lane 0 stays the same. A world that is stepped in "
+            "Python, such as the pendulum, takes proportionally longer",
         )  # fmt: skip
         self._ui.when(self.typed_speed, lambda v: SetSpeed(_speed(v)))
         self._ui.when(self.seed, self._choose_seed)
@@ -186,21 +190,21 @@ class Controls:
         self._ui.key("Undo", "U", Undo)
         self._ui.key("Freeze learning", "F", lambda: Freeze(not _in_force(self._ui.snapshot)[2]))
         self._ui.key("Latest reward, slowly", "L", ShowReward)
-        self._ui.key("The lane before", "G", lambda: NextLane(-1))
-        self._ui.key("The next lane", "H", NextLane)
+        self._ui.key("Previous lane", "G", lambda: NextLane(-1))
+        self._ui.key("Next lane", "H", NextLane)
         amount = self.amount
-        self._ui.key("Reward by hand", "P", lambda: GiveReward(float(amount.value)))
-        self._ui.key("Punishment by hand", "O", lambda: GiveReward(-float(amount.value)))
+        self._ui.key("Manual reward", "P", lambda: GiveReward(float(amount.value)))
+        self._ui.key("Manual punishment", "O", lambda: GiveReward(-float(amount.value)))
 
     @property
     def after_run(self) -> float:
-        """Where a folder stands that comes after the first one."""
+        """The order of a folder that follows the first one."""
         return self._run_folder.order + 0.5
 
     # Following the run
 
     def follow(self, snapshot: Snapshot) -> None:
-        """Show what holds. Widgets somebody is using are left alone for a moment."""
+        """Show the current state. Widgets that somebody is using are left alone for a moment."""
         self._follow_task(snapshot)
         self._follow_run(snapshot)
         self._follow_learning(snapshot)
@@ -224,7 +228,7 @@ class Controls:
         assign(self.task, "value", snapshot.run.task_name)
         assign(self.preset, "options", tuple(task.presets))
         assign(self.preset, "value", task.plain_preset)
-        self.preset_note.content = f"{task.summary}. *As it opens: {task.preset.note}.*"
+        self.preset_note.content = f"{task.summary}. *Preset: {task.preset.note}.*"
         assign(self.amount, "value", task.hand_reward)
         self._build_switches(task)
         self._build_task_buttons(task)
@@ -232,7 +236,7 @@ class Controls:
         assign(self._task_folder, "order", by_hand)
 
     def _build_switches(self, task: Task) -> None:
-        """What the task can have on or off, below its preset."""
+        """The task's switches, below its preset."""
         for handle in self._switches:
             handle.remove()
         with self._run_folder:
@@ -241,8 +245,8 @@ class Controls:
     def _add_switch(self, switch: Switch, task: Task) -> Any:
         handle = self._gui.add_checkbox(
             switch.name, task.settings[switch.name], order=self.preset_note.order + 0.5,
-            hint=f"{switch.words}. Another choice starts a new run with the β, γ, rule and network "
-            "that are set",
+            hint=f"{switch.words}. Changing it starts a new run with the current β, γ, rule and "
+            "network",
         )  # fmt: skip
         self._ui.when(handle, lambda v: Reset(switch=(switch.name, bool(v))))
         return handle
@@ -297,7 +301,7 @@ class Controls:
         self._ui.put(self.typed_speed, speed)
 
     def _follow_learning(self, snapshot: Snapshot) -> None:
-        """β, γ and freezing, in the past those of the step that is shown."""
+        """β, γ and freezing; in the past, those of the step that is shown."""
         beta, gamma, frozen = _in_force(snapshot)
         self._ui.put(self.beta, f"{min(beta, GREATEST_BETA):.6g}")
         memory = min(LONGEST, max(SHORTEST, -math.log10(1.0 - beta)))
@@ -313,7 +317,7 @@ class Controls:
         self._ui.put(self.frozen, frozen)
         self._rule.follow(snapshot)
 
-    # What is typed: no command where it is what holds already
+    # Typed values: no command if nothing changes
 
     def _set_typed_beta(self, text: str) -> Command | None:
         beta = _parsed(float, text, "β must be", 0.0, GREATEST_BETA)
@@ -339,7 +343,7 @@ class Controls:
 
 
 def _parsed(kind: Callable[[str], N], text: str, must_be: str, least: N, most: N) -> N:
-    """The number that was typed; raises ValueError for anything else, or one beyond the ends."""
+    """The number that was typed; raises ValueError if it is no number or out of range."""
     try:
         value = kind(text)
     except ValueError:
@@ -352,7 +356,7 @@ def _parsed(kind: Callable[[str], N], text: str, must_be: str, least: N, most: N
 
 
 def _speed(text: str) -> Speed:
-    """Steps per second, or a word, of which `SetSpeed` knows two."""
+    """Steps per second, or a word; `SetSpeed` knows two."""
     try:
         return float(text)
     except ValueError:
@@ -360,7 +364,7 @@ def _speed(text: str) -> Speed:
 
 
 def _in_force(snapshot: Snapshot) -> tuple[float, float, bool]:
-    """β, γ and whether learning is frozen, at the step that is shown of the past, or now."""
+    """β, γ and whether learning is frozen, at the past step that is shown, or now."""
     if snapshot.view.past is None:
         return snapshot.run.beta, snapshot.run.gamma, snapshot.run.frozen
     shown = snapshot.view.frame
@@ -368,7 +372,7 @@ def _in_force(snapshot: Snapshot) -> tuple[float, float, bool]:
 
 
 def _hidden(snapshot: Snapshot) -> tuple[int, ...] | None:
-    """Sizes of the hidden layers; None where sizes are not what makes the network."""
+    """Sizes of the hidden layers; None if the network is not defined by sizes."""
     network = snapshot.run.live.topology
     sizes = tuple(g.size for g in network.neuron_groups[:-1])
     try:

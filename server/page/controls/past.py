@@ -1,4 +1,4 @@
-"""The way back and the way aside: widgets that show a run's past, and that fork it."""
+"""Widgets that show a run's past, and that fork it."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ EVENTS = {
     "reward ▶": Event.NEXT_REWARD,
 }
 DRAGGED_SECONDS = 1.0
-"""The slider follows what is shown again when it was not dragged for so long."""
+"""Once the slider has not been dragged for this long, it follows the step that is shown."""
 TRY_IT = (
-    "*Move β or γ, freeze, or reward: the run goes on from this step with it. "
-    "Undo brings back what came after.*"
+    "*Change β or γ, freeze, or give a reward: the run then continues from this step. "
+    "Undo restores what came after.*"
 )
-SAME_CHANCE = "*Both copies draw the same random numbers; whatever you change is changed in both.*"
+SAME_CHANCE = "*Both copies draw the same random numbers; your changes apply to both.*"
 
 
 class Rewind:
-    """The folder that shows the past: where in it, and what to do there."""
+    """The folder that shows the past: the step, and the actions there."""
 
     def __init__(self, widgets: Widgets, *, order: float) -> None:
         self._ui, gui = widgets, widgets.gui
@@ -45,7 +45,7 @@ class Rewind:
             self.slider = MovingSlider(
                 gui.add_slider(
                     "go to", 0, 1, 1, 0, marks=(),
-                    hint="drag to any step of the past; the run is paused meanwhile",
+                    hint="drag to any past step; the run pauses meanwhile",
                 )
             )  # fmt: skip
             self.events = gui.add_button_group("jump to", tuple(EVENTS), hint="J, K: changes")
@@ -54,19 +54,21 @@ class Rewind:
         self._ui.when(self.events, lambda v: self._jump(EVENTS[v]))
         self._ui.key("Take over here", "T", TakeOver)
         self._ui.key("Back to now", "B", self._back)
-        self._ui.key("The change before", "J", lambda: self._jump(Event.CHANGE_BEFORE))
-        self._ui.key("The next change", "K", lambda: self._jump(Event.NEXT_CHANGE))
+        self._ui.key("Previous change", "J", lambda: self._jump(Event.CHANGE_BEFORE))
+        self._ui.key("Next change", "K", lambda: self._jump(Event.NEXT_CHANGE))
 
     def _build_past(self, gui: viser.GuiApi) -> None:
-        """What is there only while the past is shown."""
+        """The widgets that exist only while the past is shown."""
         self.step = gui.add_number("at step", 0, min=0, step=1, hint="type a step to see it")
         self.time = gui.add_number(
-            "at time (s)", 0.0, min=0.0, step=0.01, hint="type a time of the simulation to see it"
+            "at time (s)", 0.0, min=0.0, step=0.01, hint="type a simulated time to see it"
         )
-        self.loop = gui.add_checkbox("loop", False, hint="at the end play from the beginning")
+        self.loop = gui.add_checkbox(
+            "loop", False, hint="at the end, play from the beginning again"
+        )
         self.take_over = gui.add_button(
             "Take over here", icon=viser.Icon.PLAYER_TRACK_NEXT,
-            hint="T: the run goes on from this step; what came after is kept for undo",
+            hint="T: the run continues from this step; undo restores what came after",
         )  # fmt: skip
         self.back = gui.add_button("Back to now", icon=viser.Icon.ARROW_FORWARD_UP, hint="B")
         advice = gui.add_markdown(TRY_IT)
@@ -78,7 +80,7 @@ class Rewind:
         self._ui.press(self.back, self._back)
 
     def follow(self, snapshot: Snapshot) -> None:
-        """Show where what is seen stands in the run."""
+        """Show the position in the run."""
         past = snapshot.view.past
         at = snapshot.run.live.step if past is None else past.cursor
         assign(self.slider, "min", snapshot.run.first)
@@ -94,12 +96,12 @@ class Rewind:
             self._ui.put(self.time, round(at * snapshot.run.task.dt, 6))
         self._ui.put(self.loop, past.loop)
         from_file = past.check is not Check.OWN
-        assign(self.back, "label", "Go on from its end" if from_file else "Back to now")
+        assign(self.back, "label", "Continue from its end" if from_file else "Back to now")
 
     # Commands
 
     def _seek(self, step: int) -> Seek:
-        """Show a step, the nearest there is."""
+        """Show a step, or the nearest one available."""
         snapshot = self._ui.snapshot
         return Seek(min(max(int(step), snapshot.run.first), snapshot.run.live.step))
 
@@ -110,7 +112,7 @@ class Rewind:
 
     def _jump(self, event: Event) -> SeekEvent:
         if self._ui.snapshot.view.past is None and event is not Event.CHANGE_BEFORE:
-            raise ValueError(f"this is now: {event.value} is not made yet; rewind first")
+            raise ValueError(f"there is no {event.value} after the present: rewind first")
         return SeekEvent(event)
 
     def _back(self) -> Command | None:
@@ -118,17 +120,17 @@ class Rewind:
 
 
 class Forking:
-    """The folder that sends a copy of the run along beside it."""
+    """The folder that runs a copy beside the run."""
 
     def __init__(self, widgets: Widgets) -> None:
         self._ui, gui = widgets, widgets.gui
         with gui.add_folder("Fork: two copies side by side", expand_by_default=False):
             self.kind = gui.add_dropdown(
-                "differ in", KINDS, hint="the one thing in which the other copy differs"
+                "differ in", KINDS, hint="the one setting in which the copies differ"
             )
             self.value = gui.add_text("its value", "0.9", hint="β or γ of the other copy")
             self.fork = gui.add_button(
-                "Fork here", icon=viser.Icon.GIT_FORK, hint="from the step that is shown"
+                "Fork here", icon=viser.Icon.GIT_FORK, hint="fork at the step that is shown"
             )
             self.says = gui.add_markdown("")
             self.keep = gui.add_button("Keep this run", icon=viser.Icon.CHECK)
@@ -141,7 +143,7 @@ class Forking:
         self._ui.press(self.keep_other, lambda: EndFork(keep_other=True))
 
     def follow(self, snapshot: Snapshot) -> None:
-        """Offer to fork, or to keep one of the two copies."""
+        """Offer a fork, or the choice of the copy to keep."""
         other, kind = snapshot.view.other, self.kind.value
         for handle in (self.kind, self.fork):
             assign(handle, "visible", other is None)

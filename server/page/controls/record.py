@@ -1,4 +1,4 @@
-"""The folder that records a run into a file, and says how that goes."""
+"""The folder that records a run into a file, and shows its progress."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hebbviz.sims.figures import palette
 
 
 class Record:
-    """Name a file, begin and end its recording, and see what it holds."""
+    """Name a file, start and stop its recording, and see what it holds."""
 
     def __init__(self, widgets: Widgets) -> None:
         self._ui, gui = widgets, widgets.gui
@@ -30,7 +30,7 @@ class Record:
         self._ui.press(self.button, self._toggle)
 
     def follow(self, snapshot: Snapshot) -> None:
-        """Say what is recorded; offer a name that is free, until one is typed."""
+        """Show what is recorded; offer a free name until one is typed."""
         on = snapshot.recording.is_on
         if on != (self.button.label != "Record"):
             self.button.label = "Stop recording" if on else "Record"
@@ -54,14 +54,14 @@ class Record:
 
 
 def free_name(folder: Path, task: str) -> str:
-    """A file name made of the task, the date and the time, which no file in the folder has."""
+    """An unused file name made of the task, the date and the time."""
     stem = f"{re.sub(r'[^A-Za-z0-9_-]', '-', task)}-{time.strftime('%Y-%m-%d-%H%M')}"
     names = (f"{stem}{end}.rrd" for end in ("", *(f"-{k}" for k in range(2, 100))))
     return next((name for name in names if not (folder / name).exists()), f"{stem}.rrd")
 
 
 def said(snapshot: Snapshot) -> str:
-    """Where the recording is, how much it holds, and how to see it live."""
+    """The recording's place and size, and how to see it live."""
     lines = []
     if snapshot.recording.status is not None:
         lines.append(_status(snapshot.recording.status, on=snapshot.recording.is_on))
@@ -87,5 +87,5 @@ def _status(status: Status, *, on: bool) -> str:
 
 
 def _code(text: str) -> str:
-    """Text of others as it is."""
+    """Text from outside, verbatim."""
     return "`" + text.replace("`", "'") + "`"

@@ -19,7 +19,7 @@ NEVER = "never"
 
 
 class RuleControls:
-    """Builds the widgets at the end of a folder; `follow` shows what a Picture says."""
+    """Builds the widgets at the end of a folder; `follow` shows the state in a snapshot."""
 
     def __init__(self, widgets: Widgets, folder: viser.GuiFolderHandle) -> None:
         self._ui, self._folder = widgets, folder
@@ -30,18 +30,18 @@ class RuleControls:
         with folder:
             self.fall = gui.add_text(
                 "γ falls over", NEVER,
-                hint="T in steps, or never: at step t the γ in force is γ T/(T + t)",
+                hint="T in steps, or never: at step t the effective γ is γ T/(T + t)",
             )  # fmt: skip
             self.in_force = gui.add_markdown("")
             self.rule = gui.add_dropdown(
-                "rule", rule_names(), hint="what a reward is made into for the synapses"
+                "rule", rule_names(), hint="how the reward becomes the signal that synapses receive"
             )
             self.words = gui.add_markdown("")
         widgets.when(self.rule, SetRule)
         widgets.when(self.fall, self._typed_fall)
 
     def follow(self, snapshot: Snapshot) -> None:
-        """Show what holds; in the past, what held at the step that is shown."""
+        """Show the current state; in the past, the state at the step that is shown."""
         frame = snapshot.run.live if snapshot.view.past is None else snapshot.view.frame
         rule = frame.rule
         fits = tuple(n for n in rule_names() if rule_class(n).fits(snapshot.run.lanes))
@@ -55,7 +55,7 @@ class RuleControls:
         assign(self.words, "content", _words(frame))
         self._ui.put(self.fall, NEVER if math.isinf(frame.fall) else f"{frame.fall:g}")
         assign(self.in_force, "visible", not math.isinf(frame.fall))
-        assign(self.in_force, "content", f"γ in force {float(frame.gamma[0]):.3g}")
+        assign(self.in_force, "content", f"effective γ {float(frame.gamma[0]):.3g}")
 
     def _build_parameters(self, rule: Rule) -> None:
         for handle in self._parameters.values():
@@ -86,19 +86,19 @@ class RuleControls:
             change = SetFall(math.inf if text.strip() == NEVER else float(text))
         except ValueError as error:
             raise ValueError(
-                f"γ falls over a number of steps from 1 on, or {NEVER}, got {text[:40]!r}"
+                f"the fall of γ must be a number of steps from 1, or {NEVER}, got {text[:40]!r}"
                 f"{about_commas(text)}"
             ) from error
         return None if change.fall == self._fall else change
 
 
 def _words(frame: Frame) -> str:
-    """What the rule does, and what it keeps now."""
+    """The rule's summary, and its memory now."""
     kept = zip(frame.rule.memory, frame.memory.tolist(), strict=True)
     now = "".join(f", {reading.name} **{_shown(value):.4g}**" for reading, value in kept)
     return f"{frame.rule.summary}{now}"
 
 
 def _shown(value: float) -> float:
-    """What is left of a sum by rounding, or of a mean of nothing after a while, is 0."""
+    """The value; rounding errors of a sum, or of a mean that has decayed, count as 0."""
     return round(value, 12) + 0.0

@@ -24,25 +24,25 @@ def panel_kinds() -> tuple[type[Panel], ...]:
 
 
 def wanted(snapshot: Snapshot) -> tuple[type[Panel], ...]:
-    """Those that have something to show."""
+    """The panels that have something to show."""
     return tuple(kind for kind in panel_kinds() if kind.wanted(snapshot))
 
 
 def wanted_tabs(snapshot: Snapshot) -> tuple[str, ...]:
-    """Names of the tabs that they stand in, in the order in which these stand."""
+    """Names of their tabs, in the order of the tabs."""
     names = {name for kind in wanted(snapshot) for name in kind.tabs}
     return tuple(name for name in TABS if name in names)
 
 
 class Panels:
-    """The wanted panels; each call of `draw` renews one of them."""
+    """The wanted panels; each call of `draw` redraws one of them."""
 
     def __init__(self, place: Place) -> None:
         self._panels = [kind(place) for kind in wanted(place.snapshot)]
         self._turn = 0
 
     def draw(self, snapshot: Snapshot) -> None:
-        """Renew the next one in turn: all of them several times a second."""
+        """Redraw the next panel in turn: each is redrawn several times a second."""
         self._panels[self._turn].draw(snapshot)
         self._turn = (self._turn + 1) % len(self._panels)
 

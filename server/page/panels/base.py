@@ -1,4 +1,4 @@
-"""What a panel is, the tabs that panels stand in, and what several of them show."""
+"""The contract of a panel, the tabs, and data that several panels show."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ TABS = {
     "now": Tab("Spikes now", viser.Icon.BOLT, is_below=True),
     "synapses": Tab("Synapses", viser.Icon.GRID_DOTS, is_below=True),
 }
-"""In the order in which they stand. Only those are made in which a wanted panel stands."""
+"""In the order of display. A tab is made only if a wanted panel is in it."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where panels are built: the tabs by name, and how the run is when they are."""
+    """Where panels are built: the tabs by name, and the state of the run at that time."""
 
     gui: viser.GuiApi
     tabs: Mapping[str, Any]
@@ -53,16 +53,16 @@ class Place:
 
 
 class Panel(ABC):
-    """Charts, pictures and words in a tab, or in several; each is a class in a file of its own.
+    """Charts, pictures and text in one or more tabs; each panel is a class in its own file.
 
-    It is built for one task, network, rule, theme and number of lanes, and built again for others.
+    It is built for one task, network, rule, theme and number of lanes, and rebuilt for others.
     A subclass builds its widgets in `__init__` and keeps each with `hold`.
     """
 
     tabs: ClassVar[tuple[str, ...]]
-    """Names of the tabs it stands in."""
+    """Names of the tabs that contain it."""
     order: ClassVar[int]
-    """Panels of a tab stand in ascending order."""
+    """Panels of a tab are in ascending order."""
 
     def __init__(self, place: Place) -> None:
         self.place = place
@@ -70,15 +70,15 @@ class Panel(ABC):
 
     @staticmethod
     def wanted(snapshot: Snapshot) -> bool:
-        """Whether there is something to show for this task, network and rule."""
+        """Whether the panel has something to show for this task, network and rule."""
         return True
 
     @abstractmethod
     def draw(self, snapshot: Snapshot) -> None:
-        """Show what holds; called a few times a second."""
+        """Show the current state; called a few times a second."""
 
     def remove(self) -> None:
-        """Take away all that was held."""
+        """Remove all held widgets."""
         for handle in self._handles:
             handle.remove()
 
@@ -89,7 +89,7 @@ class Panel(ABC):
 
 
 OTHER: Rgb = palette.SERIES[3]
-"""Of the other copy of a fork."""
+"""Colour of the other copy of a fork."""
 
 
 def marks(snapshot: Snapshot) -> list[float]:
@@ -98,13 +98,13 @@ def marks(snapshot: Snapshot) -> list[float]:
 
 
 def cursor(snapshot: Snapshot) -> Cursor | None:
-    """Where in the run the step is that is shown of its past."""
+    """The position in the run of the past step that is shown; None in the present."""
     past = snapshot.view.past
     return None if past is None else Cursor(past.cursor, snapshot.run.first, snapshot.run.live.step)
 
 
 def since(other: Other) -> Curve:
-    """The other copy's curve from the fork on; before it there was but one."""
+    """The other copy's curve from the fork on; there was only one run before it."""
     c, late = other.curve, other.curve.end > other.start
     return Curve(
         c.window, c.end[late], c.steps[late], c.reward[late], c.broadcast[late], c.ended[late]
@@ -132,5 +132,5 @@ def colors(names: Iterable[str]) -> dict[str, Rgb]:
 
 
 def latest_frames(snapshot: Snapshot) -> list[Frame]:
-    """Of the run itself, or of what is shown of its past; those of one network alone."""
+    """The latest frames of the run, or of the past that is shown; all of the same network."""
     return alike(snapshot.view.live_trail if snapshot.view.past is None else snapshot.view.trail)

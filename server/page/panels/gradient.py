@@ -1,4 +1,4 @@
-"""The truth beside the rule's estimate of it: for tasks that know their true gradient."""
+"""The exact gradient beside the rule's estimate, for tasks that know their exact gradient."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ EARLIER: tuple[Rgb, ...] = (palette.SERIES[2], palette.SERIES[3], palette.SERIES
 SPAN = (1.0, 180.0)
 THEORY_POINTS = 60
 MOST_ROWS = 40
-"""Of the synapses of a larger network, the first so many have bars."""
+"""At most this many synapses have bars: the first ones of a larger network."""
 NOTHING = 1e-12
 """Below this share of the gradient, E[r z] of a layer is zero to rounding."""
 
 
 _THEORY_WORDS = (
-    "Dashed: what the exact chain says of a mean over so many steps, its noise and its bias. Every "
-    "change of the run begins a new curve; those of other β stay."
+    "Dashed: the prediction of the exact chain for a mean over that many steps: noise and bias. "
+    "Every change of the run starts a new curve; curves of other β stay."
 )
 
 
 class Gradient(Panel):
-    """Angle, words and bars in one tab, the curve in another; `draw` renews them all."""
+    """Angle, text and bars in one tab, the curve in another; `draw` redraws them all."""
 
     tabs, order = ("gradient", "angle"), 90
 
@@ -81,14 +81,14 @@ class Gradient(Panel):
         return knows_its_truth(snapshot.run.task)
 
     def draw(self, snapshot: Snapshot) -> None:
-        """Renew everything, of the run itself or of what is shown of its past."""
+        """Redraw everything, for the run itself or for the past that is shown."""
         frame = snapshot.run.live if snapshot.view.past is None else snapshot.view.frame
         estimate = snapshot.findings.estimate if snapshot.view.past is None else None
         truth = truth_of(snapshot.run.task, frame)
         if not isinstance(truth, GradientTruth):
             assign(self._head, "content", "")
             assign(self._bars, "content", "")
-            assign(self._words, "content", f"There is no true gradient here: {truth}.")
+            assign(self._words, "content", f"The exact gradient is not available: {truth}.")
             assign(self._chart_words, "content", "")
             return
         assign(self._head, "content", self._heading(truth, estimate))
@@ -122,7 +122,7 @@ class Gradient(Panel):
         beta = float(frame.beta[0])
         key = (
             f'<div style="padding:0 12px 4px; font-size:13px">'
-            f'<span style="color:{css(TRUTH)}">■</span> true ∂η/∂w &nbsp; '
+            f'<span style="color:{css(TRUTH)}">■</span> exact ∂η/∂w &nbsp; '
             f'<span style="color:{css(ESTIMATE)}">■</span> mean of r z &nbsp; '
             f"<b>|</b> its limit, β {beta:.6g}</div>"
         )
@@ -150,50 +150,50 @@ def _name(curve: AngleCurve) -> str:
 def _explained(
     snapshot: Snapshot, frame: Frame, truth: GradientTruth, estimate: Estimate | None
 ) -> str:
-    """A sentence or two: what to make of the angle, or why there is none."""
+    """One or two sentences that explain the angle, or why there is none."""
     if estimate is None:
         return _missing(snapshot, frame)
     beta, bias = float(frame.beta[0]), truth.bias_angle
     if _is_starved(truth):
         return (
-            f"At β {beta:.6g} a trace is over before the reward for what a hidden neuron did has "
-            f"come: its mean of r z goes to 0, whatever the truth is. The hidden layer is starved, "
-            f"and the angle goes to **{bias:.1f}°**."
+            f"At β {beta:.6g} a trace decays before the reward for a hidden neuron's spike "
+            f"arrives: its mean of r z goes to 0, whatever the gradient is. The hidden layer is "
+            f"starved, and the angle goes to **{bias:.1f}°**."
         )
     if not estimate.reaches_back:
         return (
-            f"The weights move, and the truth with them: the mean is of the latest "
+            f"The weights move, and the gradient moves with them: the mean covers the latest "
             f"{status_text.steps(estimate.steps)}, in which they moved by a tenth of their "
             f"length. A "
             "smaller γ gives a longer mean and a smaller angle."
         )
     return (
         f"The angle falls like 1/√steps, down to **{bias:.2g}°**: the bias of β {beta:.6g}. "
-        "β nearer to 1 has less bias and more noise. Try it: the mean then begins anew."
+        "β nearer to 1 has less bias and more noise. Try it: the mean then restarts."
     )
 
 
 def _missing(snapshot: Snapshot, frame: Frame) -> str:
-    """Why there is no estimate."""
+    """The reason why there is no estimate."""
     if snapshot.view.past is not None:
         return (
-            "The truth of the weights that are shown of the past. The estimate belongs to the run "
-            "itself: go back to now to see it."
+            "This is the exact gradient at the past weights. The estimate belongs to the live "
+            "run: go back to now to see it."
         )
     if not frame.gamma.any():
         return (
-            "Learning is frozen: the estimate is made of what the weights did, and they rest. "
-            "Let learning go on (F), with a step size so small that they hardly move."
+            "Learning is frozen: the estimate is computed from weight changes, and there are none. "
+            "Unfreeze learning (F), with a step size so small that the weights hardly move."
         )
     if not tells_the_mean(frame):
         return (
-            "The estimate is made of what the weights did, as the paper's rule with a γ that stays "
-            "moves them. Under another rule, or while γ falls, there is none."
+            "The estimate is computed from weight changes under the paper's rule with a constant "
+            "γ. Under another rule, or while γ falls, there is none."
         )
     return "No step since the last change yet."
 
 
 def _is_starved(truth: GradientTruth) -> bool:
-    """Whether some synapses with a slope get no estimate of it at all."""
+    """Whether some synapses with a nonzero gradient get no estimate at all."""
     size = NOTHING * float(np.abs(truth.gradient).max())
     return bool(((np.abs(truth.biased) <= size) & (np.abs(truth.gradient) > 1e3 * size)).any())

@@ -28,11 +28,11 @@ Bands = dict[str, tuple[Points, Points]]
 EARLIER: Rgb = (140, 140, 140)
 HEIGHT, HEIGHT_WITH_LANES = 215, 230
 MOST_WINDOWS = 128
-"""With several lanes longer windows are shown, so that the curve of one does not hide the rest."""
+"""Several lanes are shown in longer windows, so that one lane's curve does not hide the rest."""
 
 
 class Learning(Panel):
-    """The chart and the words beneath it."""
+    """The chart and the text beneath it."""
 
     tabs, order = ("run",), 10
 
@@ -94,8 +94,8 @@ class Learning(Panel):
         self._words.content = _said(snapshot, curve, newest, has_dots=has_dots)
 
     def _earlier(self, snapshot: Snapshot) -> dict[str, Points]:
-        """The run before: the middle of its lanes. Of one lane alone the windows are too unlike
-        each other to be read beside the middle of many.
+        """The previous run: the middle of its lanes. The windows of a single lane vary too much to
+        be compared with the middle of many.
         """
         ghost = snapshot.run.ghost
         if ghost is None or (self._has_lanes and ghost.lanes == 1):
@@ -107,8 +107,8 @@ class Learning(Panel):
 
 
 def evaluated(snapshot: Snapshot) -> str:
-    """What the latest frozen copy did, in the watched lane, and in the middle of several; and how
-    far the next one is, if it takes long.
+    """Results of the latest frozen copy, in the watched lane and in the middle of several; and the
+    progress of the next one, if it takes long.
     """
     return " ".join(filter(None, (_last_evaluated(snapshot), _being_evaluated(snapshot))))
 
@@ -135,7 +135,7 @@ FROZEN: tuple[Rgb, ...] = (palette.SERIES[2], palette.SERIES[4])
 
 
 def _drawn(of_lanes: Spread, measure: Measure) -> tuple[Points, tuple[Points, Points]]:
-    """The line and its band, which ends at the top of the axis where it has no end."""
+    """The line and its band; an unbounded band is cut at the top of the axis."""
     x, middle = of_lanes.x, of_lanes.middle
     finite = of_lanes.high[np.isfinite(of_lanes.high)]
     top = measure.span[1] if measure.span else finite.max(initial=0.0)
@@ -153,7 +153,7 @@ def _scores(task: Task, curve: Curve) -> Points:
 
 
 def _dots(task: Task, curve: Curve) -> Points:
-    """Where no event was seen: what the time to it is over, with 95 % confidence."""
+    """Lower bounds (95 %) of the time to an event, where no event was seen."""
     curve = _pooled(task, curve)
     scores = [task.score(t) for t in curve.tallies()]
     none = np.array([s.events == 0 for s in scores], dtype=bool)
@@ -178,7 +178,7 @@ def _spaced(key: str) -> str:
 
 
 def _frozen(snapshot: Snapshot) -> dict[str, Spread]:
-    """What frozen copies of the run did; with one lane the middle is that lane."""
+    """Results of frozen copies of the run; with one lane the middle is that lane."""
     task, done = snapshot.run.task, snapshot.findings.evaluations
     x = np.array([e.step for e in done], dtype=np.float64)
     spreads = {}
@@ -201,25 +201,27 @@ def _said(snapshot: Snapshot, curve: Curve, newest: Array | None, *, has_dots: b
         "" if snapshot.view.other is None else status_text.compared(snapshot, snapshot.view.other)
     )
     return (
-        f"{both}\n\nEach point sums up "
+        f"{both}\
+\
+Each point covers "
         f"{status_text.steps(curve.window)}{_or_more(measure)}{now}.{dots} "
         f"{_by_hand(snapshot)} {_changes(snapshot)} {evaluated(snapshot)}"
     )
 
 
 def _dots_name(measure: Measure) -> str:
-    return f"no {measure.event}: over this"
+    return f"no {measure.event}: lower bound"
 
 
-_DOT = "no {event} so far, so the time to it is over this, with 95 % confidence."
+_DOT = "no {event} so far: a lower bound of the time to it, with 95 % confidence."
 
 
 def _or_more(measure: Measure) -> str:
-    return f", or as many as have {ENOUGH} {measure.event}s" if measure.event else ""
+    return f", or enough steps for {ENOUGH} {measure.event}s" if measure.event else ""
 
 
 def _now(task: Task, curve: Curve) -> str:
-    """The measure of the newest window, or of as many as have enough events."""
+    """The measure over the newest window, or over enough windows to have enough events."""
     tallies = curve.tallies()
     if not tallies:
         return ""
@@ -232,15 +234,15 @@ def _now(task: Task, curve: Curve) -> str:
 
 
 def _by_hand(snapshot: Snapshot) -> str:
-    """The rewards by hand: the curve is of the task's own."""
+    """The manual rewards, which the curve leaves out."""
     given = [c.change.reward for c in snapshot.run.changes if isinstance(c.change, GiveReward)]
     if not given:
         return ""
-    return f"Rewards by hand, **{sum(given):+.3g}** in all, are not in the curve."
+    return f"Manual rewards, **{sum(given):+.3g}** in total, are not in the curve."
 
 
 def _figure(snapshot: Snapshot, done: Evaluation, key: str) -> str:
-    """One figure of a frozen copy in words: of the watched lane, and of the middle of several."""
+    """One figure of a frozen copy as text: the watched lane, and the middle of several."""
     measure = _measure_of(snapshot.run.task, key)
     values = _in_unit(snapshot.run.task, key, done.figures[key])
     if measure.event:
@@ -255,7 +257,7 @@ def _figure(snapshot: Snapshot, done: Evaluation, key: str) -> str:
 
 
 def _measure_of(task: Task, key: str) -> Measure:
-    """The name and unit of a figure of `Task.evaluate`: none is known but of those on the curve."""
+    """The name and unit of a figure of `Task.evaluate`; known only for those on the curve."""
     if key == task.measure.key:
         return task.measure
     if key in task.frozen_figures:
@@ -264,13 +266,13 @@ def _measure_of(task: Task, key: str) -> Measure:
 
 
 def _in_unit(task: Task, key: str, values: Array) -> Array:
-    """What a frozen copy did, in % where `Task.evaluate` gives fractions of it."""
+    """Results of a frozen copy, in % where `Task.evaluate` gives fractions."""
     is_fraction = key in task.frozen_figures and key != task.measure.key
     return 100.0 * values if is_fraction and task.measure.unit == "%" else values
 
 
 def _changes(snapshot: Snapshot) -> str:
-    """The latest changes in words, for the marks."""
+    """The latest changes as text, for the marks."""
     latest = snapshot.run.changes[-3:]
     if not latest:
         return ""

@@ -1,4 +1,4 @@
-"""What the rule keeps from step to step, such as a baseline of the reward."""
+"""The rule's memory from step to step, such as a reward baseline."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SERIES = palette.SERIES[2:]
 
 
 class Memory(Panel):
-    """The rule's memory in the latest pictures."""
+    """The rule's memory in the latest frames."""
 
     tabs, order = ("reward",), 30
 
@@ -22,7 +22,7 @@ class Memory(Panel):
         super().__init__(place)
         self._rule = rule = place.snapshot.run.live.rule
         series = {r.name: SERIES[k % len(SERIES)] for k, r in enumerate(rule.memory)}
-        title = f"what rule {rule.name} keeps ({rule.memory[0].unit})"
+        title = f"memory of rule {rule.name} ({rule.memory[0].unit})"
         self._chart = self.hold(Chart(place.gui, place.tabs["reward"], title, series))
 
     @staticmethod

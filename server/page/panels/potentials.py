@@ -13,7 +13,7 @@ from hebbviz.sims.figures.palette import Rgb
 
 
 class Potentials(Panel):
-    """Least and greatest v of each picture, of each curve's neurons."""
+    """Least and greatest v in each frame, over each curve's neurons."""
 
     tabs, order = ("now",), 70
 

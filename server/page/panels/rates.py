@@ -17,7 +17,7 @@ from hebbviz.server.page.panels.base import (
 
 
 class Rates(Panel):
-    """Spikes per step in the latest pictures."""
+    """Spikes per step in the latest frames."""
 
     tabs, order = ("reward",), 40
 

@@ -1,4 +1,4 @@
-"""The average reward: of the task, and as the rule broadcasts it."""
+"""The average reward: the task's own, and the broadcast one."""
 
 from __future__ import annotations
 

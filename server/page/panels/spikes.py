@@ -30,7 +30,7 @@ class Spikes(Panel):
         self._image.image = raster(
             recent, topology, self.place.theme, changes, snapshot.view.frame.rule
         )
-        upto = "No step is played yet."
+        upto = "No step has been played yet."
         if recent is not None:
             upto = f"Every step up to {status_text.count(recent.end)}, newest at the right."
         self._words.content = f"{upto} Top row: reward yellow, punishment red, a change grey."

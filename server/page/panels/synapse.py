@@ -1,4 +1,4 @@
-"""The trace and the weight of a network that is one synapse."""
+"""The trace and the weight of a network with a single synapse."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hebbviz.sims.figures import palette
 
 
 class Synapse(Panel):
-    """z and w in the latest pictures."""
+    """z and w in the latest frames."""
 
     tabs, order = ("now",), 50
 
