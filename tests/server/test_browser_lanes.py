@@ -104,20 +104,22 @@ def test_many_lanes_are_seen_whatever_is_chosen(site: Site, browser: Browser) ->
         assert not box.is_checked()
         box.click()
         only_centred = {"centred": True, "scaled": False, "constant": False}
-        eventually(page, lambda: latest(site).task.settings == only_centred)
-        assert latest(site).task.preset_name == "quick:centred=yes"
+        eventually(page, lambda: latest(site).run.task.settings == only_centred)
+        assert latest(site).run.task.preset_name == "quick:centred=yes"
         eventually(page, box.is_checked)
         row(page, "constant").get_by_role("checkbox").click()
-        eventually(page, lambda: latest(site).task.preset_name == "quick:centred=yes,constant=yes")
-        eventually(page, lambda: latest(site).live.step > 20_000)
+        eventually(
+            page, lambda: latest(site).run.task.preset_name == "quick:centred=yes,constant=yes"
+        )
+        eventually(page, lambda: latest(site).run.live.step > 20_000)
 
         worker(site).send(Reset(lanes=8))
-        eventually(page, lambda: latest(site).lanes == 8 and "mean of 8 lanes" in text_of(page))
-        assert latest(site).ghost is not None
-        eventually(page, lambda: latest(site).live.step > 20_000)
+        eventually(page, lambda: latest(site).run.lanes == 8 and "mean of 8 lanes" in text_of(page))
+        assert latest(site).run.ghost is not None
+        eventually(page, lambda: latest(site).run.live.step > 20_000)
         assert page.evaluate(EARLIER) < 1, "one lane is nothing beside the mean of many"
         worker(site).send(Reset())
-        eventually(page, lambda: latest(site).live.step > 3_000 and page.evaluate(EARLIER) > 5)
+        eventually(page, lambda: latest(site).run.live.step > 3_000 and page.evaluate(EARLIER) > 5)
 
         worker(site).send(Pause(paused=True))
         for theme in ("light", "dark"):
