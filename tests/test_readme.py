@@ -1,4 +1,4 @@
-"""What the README shows as whole is what is in the file that it names."""
+"""The examples that the README shows in full match the files that it names."""
 
 import ast
 import re
@@ -19,8 +19,8 @@ def bare(text: str) -> str:
 
 
 @pytest.mark.parametrize("file", ["tests/examples/lever.py", "hebbviz/rules/baseline.py"])
-def test_an_example_is_whole(file: str) -> None:
+def test_an_example_is_complete(file: str) -> None:
     readme = (ROOT / "README.md").read_text()
-    shown = re.search(rf"is whole \(`{file}`.*?```python\n(.*?)```", readme, re.DOTALL)
+    shown = re.search(rf"is complete \(`{file}`.*?```python\n(.*?)```", readme, re.DOTALL)
     assert shown is not None
     assert bare(shown[1]) == bare((ROOT / file).read_text())
