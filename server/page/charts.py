@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,7 +52,6 @@ class Cursor(NamedTuple):
 
 
 NO_MORE: Mapping[str, Rgb] = {}
-NO_WIDTHS: Mapping[str, float] = {}
 NO_BANDS: Mapping[str, tuple[Points, Points]] = {}
 
 UNNAMED = "hebbviz-unnamed"
@@ -63,6 +63,33 @@ only the tabs in front count.
 """
 NO_POINTS: Points = np.zeros(0), np.zeros(0)
 BAND_STRENGTH = 0.3
+
+
+@dataclass(frozen=True)
+class ChartStyle:
+    """How a chart looks.
+
+    Attributes:
+        banded: Series with a band around them.
+        widths: Widths of lines in pixels, by series.
+        dashed: Series drawn as dashed lines.
+        dotted: Series drawn as dots.
+        logarithmic: Whether the vertical axis is logarithmic.
+        log_steps: Whether the horizontal axis is logarithmic; its steps are above 0 then.
+        legend: Whether a legend is shown.
+        span: Ends of the vertical axis; None: they fit the curves.
+        height: In pixels.
+    """
+
+    banded: tuple[str, ...] = ()
+    widths: Mapping[str, float] = field(default_factory=dict)
+    dashed: tuple[str, ...] = ()
+    dotted: tuple[str, ...] = ()
+    logarithmic: bool = False
+    log_steps: bool = False
+    legend: bool = True
+    span: Span | None = None
+    height: int = HEIGHT
 
 
 class Chart:
@@ -84,34 +111,28 @@ class Chart:
         container: Any,
         title: str,
         series: Mapping[str, Rgb],
-        *,
-        banded: Sequence[str] = (),
-        widths: Mapping[str, float] = NO_WIDTHS,
-        dashed: Sequence[str] = (),
-        dotted: Sequence[str] = (),
-        logarithmic: bool = False,
-        log_steps: bool = False,
-        legend: bool = True,
-        span: Span | None = None,
-        height: int = HEIGHT,
+        style: ChartStyle = ChartStyle(),
     ) -> None:
-        self._usual, self._dashed, self._dotted = dict(series), frozenset(dashed), frozenset(dotted)
-        self._banded, self._widths = tuple(banded), dict(widths)
-        self._logarithmic = logarithmic
-        self._log_steps = log_steps
+        self._usual, self._style = dict(series), style
         self._steps: Span = (1.0, 10.0)
-        self._holds = span is not None
-        self._span = span or (0.0, 1.0)
+        self._span = style.span or (0.0, 1.0)
         self._small_for = 0
         looks = self._series(self._usual, (), has_cursor=False)
         blank = [np.full(2, np.inf)] * (len(looks) - 1)
         with container:
-            self._style = gui.add_html(LEGENDS)
+            self._css = gui.add_html(LEGENDS)
             self._plot = gui.add_uplot(
-                (np.array([1.0, 2.0]), *blank), looks, title=title, bands=self._bands(),
-                scales=self._scales(), height=height, legend={"show": legend, "live": False},
-                axes=self._axes(), padding=(8, 34, 0, 0), cursor={"show": False},
-            )  # fmt: skip
+                (np.array([1.0, 2.0]), *blank),
+                looks,
+                title=title,
+                bands=self._bands(),
+                scales=self._scales(),
+                height=style.height,
+                legend={"show": style.legend, "live": False},
+                axes=self._axes(),
+                padding=(8, 34, 0, 0),
+                cursor={"show": False},
+            )
 
     def draw(
         self,
@@ -140,14 +161,14 @@ class Chart:
         first, last = min(x[0] for x in steps), max(x[-1] for x in steps)
         seen = np.unique([m for m in marks if first <= m <= last])
         x = np.unique(np.concatenate([*steps, seen, line]))
-        columns = [edge for name in self._banded for edge in _edges_on(x, *bands[name])]
+        columns = [edge for name in self._style.banded for edge in _edges_on(x, *bands[name])]
         columns += [
-            (_dots_on if name in self._dotted else _line_on)(x, *curve)
+            (_dots_on if name in self._style.dotted else _line_on)(x, *curve)
             for name, curve in curves.items()
         ]
         self._fit(np.concatenate(columns))
         self._fit_steps(x)
-        if self._logarithmic:  # uPlot clamps NaN to the floor there, and leaves out infinity
+        if self._style.logarithmic:  # uPlot clamps NaN to the floor there, and leaves out infinity
             columns = [np.where(np.isnan(c), np.inf, c) for c in columns]
         if cursor is not None:
             columns.append(_dots_on(x, line, np.array([0.0, 1.0])))
@@ -161,13 +182,13 @@ class Chart:
         assign(self._plot, "visible", seen)
 
     def remove(self) -> None:
-        self._style.remove()
+        self._css.remove()
         self._plot.remove()
 
     def _fit(self, values: Array) -> None:
         """Change the span of the vertical axis if the values do not fit the current one."""
         values = values[np.isfinite(values)]
-        if self._holds or len(values) == 0:
+        if self._style.span is not None or len(values) == 0:
             return
         low, high = float(values.min()), float(values.max())
         wanted = _around(low, high)
@@ -180,7 +201,7 @@ class Chart:
     def _fit_steps(self, x: Array) -> None:
         """All steps, or the latest few powers of ten where their axis is logarithmic."""
         first, last = float(x[0]), float(x[-1])
-        if self._log_steps:
+        if self._style.log_steps:
             high = max(1, math.ceil(math.log10(last)))
             low = min(high - 1, max(high - MOST_DECADES, math.floor(math.log10(first))))
             first, last = 10.0**low, 10.0**high
@@ -202,17 +223,17 @@ class Chart:
         for one in (*curves, changed):
             if one["label"] not in named:
                 one["class"] = UNNAMED
-        edges = (_edge() for _ in range(2 * len(self._banded)))
+        edges = (_edge() for _ in range(2 * len(self._style.banded)))
         cursors = (cursor,) if has_cursor else ()
         return (uplot.Series(label="step"), *edges, *curves, *cursors, changed)
 
     def _curve(self, name: str, color: Rgb) -> uplot.Series:
-        if name in self._dotted:
+        if name in self._style.dotted:
             return uplot.Series(label=name, stroke=css(color), width=0, points=_points(color, 5))
-        dashed = name in self._dashed
+        dashed = name in self._style.dashed
         line = uplot.Series(
             label=name, stroke=css(color, 0.55 if dashed else 1.0),
-            width=self._widths.get(name, WIDTH), points={"show": False}, spanGaps=True,
+            width=self._style.widths.get(name, WIDTH), points={"show": False}, spanGaps=True,
         )  # fmt: skip
         if dashed:
             line["dash"] = (5, 4)
@@ -222,22 +243,22 @@ class Chart:
         """One band between each pair of edges, which come first in the series."""
         return tuple(
             uplot.Band(series=(2 * k + 2, 2 * k + 1), fill=css(self._usual[name], BAND_STRENGTH))
-            for k, name in enumerate(self._banded)
+            for k, name in enumerate(self._style.banded)
         )
 
     def _scales(self) -> Any:
         y: dict[str, Any] = {"auto": False, "range": self._span}
-        if self._logarithmic:
+        if self._style.logarithmic:
             y["distr"] = 3
         x: dict[str, Any] = {"time": False, "auto": False, "range": self._steps}
-        if self._log_steps:
+        if self._style.log_steps:
             x["distr"] = 3
         return {"x": x, "y": y, "m": {"auto": False, "range": (0.0, 1.0)}}
 
     def _axes(self) -> Any:
         steps: dict[str, Any] = {"size": 38, "space": 80}
-        steps |= {"ticks": {"show": False}} if self._log_steps else {"incrs": WHOLE}
-        return steps, {"size": 62, "ticks": {"show": not self._logarithmic}}
+        steps |= {"ticks": {"show": False}} if self._style.log_steps else {"incrs": WHOLE}
+        return steps, {"size": 62, "ticks": {"show": not self._style.logarithmic}}
 
 
 def _upright(cursor: Cursor) -> Array:

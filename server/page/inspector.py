@@ -8,7 +8,7 @@ import viser
 from hebbviz.learner.frames import Frame, Summary
 from hebbviz.server.live.recent_frames import alike
 from hebbviz.server.live.snapshot import Snapshot
-from hebbviz.server.page.charts import Chart
+from hebbviz.server.page.charts import Chart, ChartStyle
 from hebbviz.server.page.widgets import assign
 from hebbviz.server.scene.appearance import endpoints
 from hebbviz.sims.figures import palette
@@ -35,10 +35,9 @@ class Inspector:
             self._from = gui.add_dropdown("from", ("-",))
             self._to = gui.add_dropdown("to", ("-",))
             self._text = gui.add_markdown("*Click a neuron or a synapse, or choose one above.*")
-        self._chart = Chart(
-            gui, self._folder, "z, its range, and w of the synapse",
-            {"z": palette.TRACE_POSITIVE, "w": palette.WEIGHT_POSITIVE}, banded=("z",),
-        )  # fmt: skip
+        colors = {"z": palette.TRACE_POSITIVE, "w": palette.WEIGHT_POSITIVE}
+        title = "z, its range, and w of the synapse"
+        self._chart = Chart(gui, self._folder, title, colors, ChartStyle(banded=("z",)))
         self._offer()
         for handle in (self._kind, self._from, self._to):
             handle.on_update(lambda event: self._chosen() if event.client is not None else None)

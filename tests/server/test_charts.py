@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hebbviz.learner.frames import Frame
 from hebbviz.server.live.recent_frames import MANY, alike
 from hebbviz.server.page import charts
-from hebbviz.server.page.charts import Chart, Cursor, Points
+from hebbviz.server.page.charts import Chart, ChartStyle, Cursor, Points
 
 VALUES = st.floats(-1e9, 1e9).map(lambda y: y if abs(y) > 1e-9 else 0.0)
 CURVES = st.lists(st.lists(VALUES, min_size=1, max_size=9), min_size=1, max_size=9)
@@ -47,7 +47,7 @@ class Gui:
 def chart(**options: Any) -> tuple[Gui, Chart]:
     gui = Gui()
     colors = {"a": (1, 2, 3), "b": (3, 2, 1)}
-    return gui, Chart(cast(Any, gui), nullcontext(), "a and b", colors, **options)
+    return gui, Chart(cast(Any, gui), nullcontext(), "a and b", colors, ChartStyle(**options))
 
 
 def line(values: list[float]) -> Points:

@@ -15,7 +15,7 @@ from hebbviz.server.live.gradient_estimate import (
 )
 from hebbviz.server.live.snapshot import Snapshot
 from hebbviz.server.page import status_text
-from hebbviz.server.page.charts import Chart, Points
+from hebbviz.server.page.charts import Chart, ChartStyle, Points
 from hebbviz.server.page.panels.base import Panel, Place
 from hebbviz.server.page.vector_drawings import ESTIMATE, TRUTH, bars, dial
 from hebbviz.server.page.widgets import assign
@@ -66,11 +66,7 @@ class Gradient(Panel):
             tabs["angle"],
             "angle (°) over steps since the last change",
             {NOW: ESTIMATE, THEORY: THEORY_COLOR},
-            dashed=(THEORY,),
-            logarithmic=True,
-            log_steps=True,
-            span=SPAN,
-            height=230,
+            ChartStyle(dashed=(THEORY,), logarithmic=True, log_steps=True, span=SPAN, height=230),
         )
         self._chart = self.hold(chart)
         with tabs["angle"]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hebbviz.server.live.evaluation import Evaluation
 from hebbviz.server.live.snapshot import Snapshot
 from hebbviz.server.page import status_text
-from hebbviz.server.page.charts import Chart, Points
+from hebbviz.server.page.charts import Chart, ChartStyle, Points
 from hebbviz.server.page.panels.base import Panel, Place, cursor, marks, others, since
 from hebbviz.server.run import lane_spread
 from hebbviz.server.run.changes import GiveReward
@@ -55,11 +55,7 @@ class Learning(Panel):
         series |= frozen
         measure = task.measure
         unit = f" ({measure.unit})" if measure.unit else ""
-        chart = Chart(
-            gui,
-            tab,
-            f"{measure.name}{unit}",
-            series,
+        style = ChartStyle(
             banded=banded,
             widths=dict.fromkeys(banded, 2.5) | ({self._run: 0.8} if self._has_lanes else {}),
             dashed=("earlier run",),
@@ -68,6 +64,7 @@ class Learning(Panel):
             span=measure.span,
             height=HEIGHT_WITH_LANES if self._has_lanes else HEIGHT,
         )
+        chart = Chart(gui, tab, f"{measure.name}{unit}", series, style)
         self._chart = self.hold(chart)
         with tab:
             self._words = self.hold(gui.add_markdown(""))

@@ -6,7 +6,7 @@ import numpy as np
 
 from hebbviz.server.live.recent_frames import alike
 from hebbviz.server.live.snapshot import Snapshot
-from hebbviz.server.page.charts import Chart, Points
+from hebbviz.server.page.charts import Chart, ChartStyle, Points
 from hebbviz.server.page.panels.base import Panel, Place, colors, marks, neuron_curves
 from hebbviz.sims.figures import palette
 from hebbviz.sims.figures.palette import Rgb
@@ -28,7 +28,7 @@ class Potentials(Panel):
         }
         tab = place.tabs["now"]
         self._chart = self.hold(
-            Chart(place.gui, tab, "potential v", series, legend=False, height=140)
+            Chart(place.gui, tab, "potential v", series, ChartStyle(legend=False, height=140))
         )
         with tab:
             self.hold(place.gui.add_markdown(_key(hues)))

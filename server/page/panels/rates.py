@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hebbviz.server.live.snapshot import Snapshot
-from hebbviz.server.page.charts import Chart
+from hebbviz.server.page.charts import Chart, ChartStyle
 from hebbviz.server.page.panels.base import (
     Panel,
     Place,
@@ -25,7 +25,9 @@ class Rates(Panel):
         super().__init__(place)
         self._curves = neuron_curves(place.topology)
         title, tab = "firing rate (spikes per step)", place.tabs["reward"]
-        self._chart = self.hold(Chart(place.gui, tab, title, colors(self._curves), span=(0.0, 1.0)))
+        self._chart = self.hold(
+            Chart(place.gui, tab, title, colors(self._curves), ChartStyle(span=(0.0, 1.0)))
+        )
 
     def draw(self, snapshot: Snapshot) -> None:
         frames = latest_frames(snapshot)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hebbviz.server.live.snapshot import Snapshot
-from hebbviz.server.page.charts import Chart
+from hebbviz.server.page.charts import Chart, ChartStyle
 from hebbviz.server.page.panels.base import Panel, Place, cursor, marks, others, since
 from hebbviz.sims.figures import palette
 
@@ -17,7 +17,9 @@ class Reward(Panel):
         super().__init__(place)
         series = {"of the task": palette.SERIES[0], "as broadcast": palette.SERIES[1]}
         title, tab = "average reward per step", place.tabs["reward"]
-        self._chart = self.hold(Chart(place.gui, tab, title, series, dashed=("as broadcast",)))
+        self._chart = self.hold(
+            Chart(place.gui, tab, title, series, ChartStyle(dashed=("as broadcast",)))
+        )
 
     def draw(self, snapshot: Snapshot) -> None:
         curve = snapshot.run.curve

@@ -6,7 +6,7 @@ import numpy as np
 
 from hebbviz.server.live.recent_frames import alike
 from hebbviz.server.live.snapshot import Snapshot
-from hebbviz.server.page.charts import Chart
+from hebbviz.server.page.charts import Chart, ChartStyle
 from hebbviz.server.page.panels.base import Panel, Place, marks
 from hebbviz.sims.figures import palette
 
@@ -20,7 +20,9 @@ class Synapse(Panel):
         super().__init__(place)
         series = {"z": palette.TRACE_POSITIVE, "w": palette.WEIGHT_POSITIVE}
         title = "trace z and weight w of the synapse"
-        self._chart = self.hold(Chart(place.gui, place.tabs["now"], title, series, height=190))
+        self._chart = self.hold(
+            Chart(place.gui, place.tabs["now"], title, series, ChartStyle(height=190))
+        )
 
     @staticmethod
     def wanted(snapshot: Snapshot) -> bool:
