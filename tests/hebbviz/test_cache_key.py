@@ -1,13 +1,18 @@
 """What is compiled is compiled anew where anything it is made of has changed, and only then."""
 
+import ast
 import json
 import os
 import shutil
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+from numba.core.dispatcher import Dispatcher
+
+from hebbviz.numerics import cache_key
 
 ROOT = Path(__file__).parents[2]
 
@@ -87,6 +92,21 @@ def test_a_world_follows_the_kernels_and_all_that_it_takes_from_other_files(copy
     assert run(copy, MINE)["answer"] == other_draw["draw"] + 3.0 * 2.0
     change(copy, "factors.py", "3.0", "4.0")
     assert run(copy, MINE) == other_draw | {"answer": other_draw["draw"] + 4.0 * 2.0}
+
+
+def test_the_kernels_take_no_number_and_no_compiled_function_from_another_file():
+    """The key holds the kernel files whole, and not what they import from the other files."""
+    files = [Path(file).relative_to(ROOT).with_suffix("") for file in cache_key._KERNELS]
+    kernels = {".".join(file.parts) for file in files}
+    assert "hebbviz.engine.kernel" in kernels
+    for kernel in kernels:
+        module = import_module(kernel)
+        for node in ast.walk(ast.parse(Path(module.__file__).read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module.startswith("hebbviz."):
+                taken = {alias.name: getattr(module, alias.name, None) for alias in node.names}
+                seen = (*cache_key._NUMBERS, Dispatcher)
+                others = {name for name, value in taken.items() if isinstance(value, seen)}
+                assert node.module in kernels or not others, f"{kernel} takes {others}"
 
 
 @pytest.mark.slow
