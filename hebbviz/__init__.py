@@ -70,7 +70,7 @@ _MODULES = {
     "hebbviz.task.presets": ("Preset",),
     "hebbviz.task.scene": ("Control", "Pose", "Prop"),
     "hebbviz.topology": ("Group", "Projection", "Topology", "feedforward"),
-}  # fmt: skip
+}
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 

@@ -331,8 +331,15 @@ class Interpreted(Task):
         for name in ("name", "outputs", "inputs", "presets", "switches", "activity"):
             setattr(self, name, getattr(task, name))
         super().__init__(task.preset_name)
-        for name in ("restart", "transition", "observation", "reward", "ended", "topology",
-                     "initial_weights"):  # fmt: skip
+        for name in (
+            "restart",
+            "transition",
+            "observation",
+            "reward",
+            "ended",
+            "topology",
+            "initial_weights",
+        ):
             setattr(self, name, getattr(task, name))
 
 

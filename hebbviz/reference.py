@@ -40,9 +40,15 @@ class Reference:
     """
 
     def __init__(
-        self, topology: Topology, weights: list[Array], *, beta: float, gamma: float, seed: int,
+        self,
+        topology: Topology,
+        weights: list[Array],
+        *,
+        beta: float,
+        gamma: float,
+        seed: int,
         lane: int = 0,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.topology = topology
         self.weights = [w.astype(np.float64) for w in weights]
         self.traces = [np.zeros_like(w) for w in self.weights]

@@ -159,9 +159,13 @@ class Site:
         self._worker: Worker | None = None
         self._run = past or Run(learner, maker(learner.task, task_name), task_name)
         self._server = guard.open_server(
-            host, port, default_port=DEFAULT_PORT, access=access, on_refusal=self._notify,
+            host,
+            port,
+            default_port=DEFAULT_PORT,
+            access=access,
+            on_refusal=self._notify,
             on_turned_away=self._say_notice,
-        )  # fmt: skip
+        )
         self._entrance = self._server.entrance
         try:
             warm_up(learner)
@@ -192,9 +196,11 @@ class Site:
         try:
             page = self._page = Page(self._server)
             session = Session(
-                self._run, on_notice=page.notify, recordings=self._recordings,
+                self._run,
+                on_notice=page.notify,
+                recordings=self._recordings,
                 in_the_past=self._past,
-            )  # fmt: skip
+            )
             worker = self._worker = Worker(session)
             if self._speed is not None:
                 worker.send(SetSpeed(self._speed))

@@ -1,4 +1,4 @@
-"""How large files, classes and parameter lists may grow. What is larger is listed, with its reason."""
+"""How large files, classes and parameter lists may grow; exceptions are listed with a reason."""
 
 from __future__ import annotations
 

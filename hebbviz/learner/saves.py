@@ -40,9 +40,15 @@ _MEMORY = "memory"
 
 
 _KINDS = {
-    "task": str, "preset": str, "seed": int, "lanes": int, "first_lane": int, "step": int,
-    "frozen": bool, "dtype": str,
-}  # fmt: skip
+    "task": str,
+    "preset": str,
+    "seed": int,
+    "lanes": int,
+    "first_lane": int,
+    "step": int,
+    "frozen": bool,
+    "dtype": str,
+}
 """Types of the header's plain values; `Learner` checks their bounds."""
 
 
@@ -107,14 +113,18 @@ def load(path: str | Path, make_task: Callable[[str, str], Task]) -> Learner:
     task = make_task(header.task, header.preset)
     try:
         learner = Learner(
-            task, topology=header.topology, seed=header.seed, lanes=header.lanes,
-            first_lane=header.first_lane, dtype=header.dtype,
-        )  # fmt: skip
+            task,
+            topology=header.topology,
+            seed=header.seed,
+            lanes=header.lanes,
+            first_lane=header.first_lane,
+            dtype=header.dtype,
+        )
         learner.restore(
             Keyframe(
                 header.step, frozen=header.frozen, rule=header.rule, fall=header.fall, **arrays
             )
-        )  # fmt: skip
+        )
     except ValueError as error:
         raise BadFile(f"{path} does not fit task {header.task!r}: {error}") from error
     return learner
@@ -138,9 +148,13 @@ def write_arrays(path: Path, header: Mapping[str, Any], arrays: Mapping[str, Any
 
 
 def read_arrays(
-    path: Path, program: str, newest: int, *, what: str,
+    path: Path,
+    program: str,
+    newest: int,
+    *,
+    what: str,
     names: Callable[[dict[str, Any]], Iterable[str]],
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:  # fmt: skip
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Read header and arrays of a file that `write_arrays` wrote for `program`.
 
     Its format must be `newest` or older. `what` describes the file in messages; `names` gives the

@@ -15,6 +15,17 @@ from hebbviz.task.presets import Preset
 from hebbviz.task.scene import Control, Pose, Prop
 
 __all__ = [
-    "CompiledTask", "Control", "Evaluable", "Input", "Measure", "Output", "Pose", "Preset", "Prop",
-    "Reading", "Score", "Tally", "Task",
-]  # fmt: skip
+    "CompiledTask",
+    "Control",
+    "Evaluable",
+    "Input",
+    "Measure",
+    "Output",
+    "Pose",
+    "Preset",
+    "Prop",
+    "Reading",
+    "Score",
+    "Tally",
+    "Task",
+]

@@ -308,9 +308,10 @@ class Task:
         """
         poses = [self.pose(state) for state in states]
         return (
-            np.array([p.position for p in poses]), np.array([p.rotation for p in poses]),
+            np.array([p.position for p in poses]),
+            np.array([p.rotation for p in poses]),
             np.array([p.scale for p in poses]),
-        )  # fmt: skip
+        )
 
     def read(self, states: Array) -> Array:
         """Return the `readings` of states (n, numbers), as (n, readings)."""

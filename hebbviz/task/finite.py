@@ -133,8 +133,12 @@ class FiniteWorld(CompiledTask):
             [[w.states, w.sights, w.controls, len(self.inputs), self._base**self.past]]
         )
         parts = (
-            sizes, self._next.reshape(-1, w.states), self._sight, self.vectors, w.rewards[None],
-        )  # fmt: skip
+            sizes,
+            self._next.reshape(-1, w.states),
+            self._sight,
+            self.vectors,
+            w.rewards[None],
+        )
         columns = max(p.shape[1] for p in parts)
         return np.vstack([np.pad(p, ((0, 0), (0, columns - p.shape[1]))) for p in parts])
 
@@ -191,9 +195,12 @@ class FiniteWorld(CompiledTask):
             exact = self._exact = ExactNetwork(self.pomdp, self.vectors, topology)
         chain = exact.at(weights)
         return GradientTruth(
-            chain.gradient, chain.biased_gradient(beta), chain.noise(beta),
-            chain.average_reward, self.best_reward(topology),
-        )  # fmt: skip
+            chain.gradient,
+            chain.biased_gradient(beta),
+            chain.noise(beta),
+            chain.average_reward,
+            self.best_reward(topology),
+        )
 
     def best_reward(self, topology: Topology) -> float | None:
         """Return the largest average reward of a network of this topology; None if unknown."""
@@ -212,10 +219,14 @@ def finite_world(
         for i in range((pomdp.controls - 1).bit_length())
     )
     about = {
-        "name": "finite world", "pomdp": pomdp, "vectors": np.array(vectors, dtype=np.float64),
-        "outputs": outputs, "activity": activity, "hidden": hidden,
+        "name": "finite world",
+        "pomdp": pomdp,
+        "vectors": np.array(vectors, dtype=np.float64),
+        "outputs": outputs,
+        "activity": activity,
+        "hidden": hidden,
         "presets": {"only": Preset(0.9, 0.01, "not in the paper")},
-    }  # fmt: skip
+    }
     made: FiniteWorld = type("FiniteWorldOf", (FiniteWorld,), about)()
     return made
 

@@ -172,7 +172,7 @@ def shown_calls(what: str, *, shown: bool) -> Iterator[None]:
         return
     with tqdm(
         desc=what, unit=" steps", unit_scale=True, file=sys.stderr, delay=1.0, leave=False
-    ) as bar:  # fmt: skip
+    ) as bar:
 
         def show(made: int, steps: int) -> None:
             bar.total = steps

@@ -22,8 +22,12 @@ from hebbviz.server.run.keyframes import Moment, Tape
 from hebbviz.server.run.run import Run
 
 BETA, GAMMA, NO_MEMORY, NO_REWARD, OTHER_REWARD = (
-    "another β", "another γ", "β = 0", "no reward", "reward of another run",
-)  # fmt: skip
+    "another β",
+    "another γ",
+    "β = 0",
+    "no reward",
+    "reward of another run",
+)
 KINDS = (BETA, GAMMA, NO_MEMORY, NO_REWARD, OTHER_REWARD)
 
 

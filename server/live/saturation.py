@@ -91,7 +91,8 @@ class StuckLanes:
             finite = [bool(np.isfinite(w).all()) for w in learner.weights.T]
             rates = seen.rates / seen.count
             self.lanes = tuple(
-                k for k in range(learner.lanes)
+                k
+                for k in range(learner.lanes)
                 if sign(finite[k], rates[:, k], seen.low[:, k], seen.high[:, k]) is not None
-            )  # fmt: skip
+            )
             self._looks = None

@@ -215,9 +215,12 @@ class Session:
             raise ValueError("there is no fork to end")
         if keep_other:
             self.run.become(
-                fork.learner, history=fork.history, log=fork.log, tape=fork.tape,
+                fork.learner,
+                history=fork.history,
+                log=fork.log,
+                tape=fork.tape,
                 words=f"keeping the copy with {fork.difference}",
-            )  # fmt: skip
+            )
             self._renew()
 
     def start_recording(self, name: str) -> None:

@@ -232,9 +232,12 @@ class Chart:
             return uplot.Series(label=name, stroke=css(color), width=0, points=_points(color, 5))
         dashed = name in self._style.dashed
         line = uplot.Series(
-            label=name, stroke=css(color, 0.55 if dashed else 1.0),
-            width=self._style.widths.get(name, WIDTH), points={"show": False}, spanGaps=True,
-        )  # fmt: skip
+            label=name,
+            stroke=css(color, 0.55 if dashed else 1.0),
+            width=self._style.widths.get(name, WIDTH),
+            points={"show": False},
+            spanGaps=True,
+        )
         if dashed:
             line["dash"] = (5, 4)
         return line

@@ -205,9 +205,11 @@ class Page:
 
     def _set_theme(self) -> None:
         self._server.gui.configure_theme(
-            dark_mode=self._theme.name == "dark", show_logo=False, show_share_button=False,
+            dark_mode=self._theme.name == "dark",
+            show_logo=False,
+            show_share_button=False,
             brand_color=palette.BRAND,
-        )  # fmt: skip
+        )
         self._theme_changed = False
 
     # Drawing
@@ -245,9 +247,10 @@ class Page:
         self._warning.content = f"⚠ **{warning}**" if warning else ""
         self._scales.content = status_text.scales(self._looks, self._scene.drawn)
         self._health.content = status_text.health(
-            self._pictures_per_second(), time.monotonic() - snapshot.made_at,
+            self._pictures_per_second(),
+            time.monotonic() - snapshot.made_at,
             len(self._server.get_clients()),
-        )  # fmt: skip
+        )
         self._visitors.draw(snapshot)
 
     def _pictures_per_second(self) -> float:

@@ -89,10 +89,16 @@ class Stage:
     def _build_network(self, drawn: np.ndarray[tuple[int], np.dtype[np.intp]]) -> None:
         self._selected_at = time.monotonic()
         self._network = NetworkScene(
-            self._scene, self.looks.topology, self._names, self.looks.theme, drawn,
-            root=f"{self._root}/network", offset=self._network_at(),
-            on_unit=self._picks.unit, on_synapse=self._picks.synapse,
-        )  # fmt: skip
+            self._scene,
+            self.looks.topology,
+            self._names,
+            self.looks.theme,
+            drawn,
+            root=f"{self._root}/network",
+            offset=self._network_at(),
+            on_unit=self._picks.unit,
+            on_synapse=self._picks.synapse,
+        )
 
     def _network_at(self) -> Spot:
         x, y, z = network_at(self._task)

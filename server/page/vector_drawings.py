@@ -55,9 +55,13 @@ def _arrow(x: float, y: float, turn: float, color: Rgb) -> str:
 
 
 def bars(
-    names: Sequence[str], truth: Array, estimate: Array | None, mark: Array, full: float,
+    names: Sequence[str],
+    truth: Array,
+    estimate: Array | None,
+    mark: Array,
+    full: float,
     theme: Theme,
-) -> str:  # fmt: skip
+) -> str:
     """A row for each name: the exact gradient's bar, the estimate's below it, a `mark` across both.
 
     Zero is in the middle, `full` at either end; a longer bar is cut off and ends in a point.

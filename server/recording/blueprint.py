@@ -148,16 +148,28 @@ def latest(task: Task, topology: Topology) -> rrb.Vertical:
     span, window = span_of(task), up_to_cursor(task, steps_of(task))
     lines = min(topology.neurons, 24)
     views: list[tuple[float, rrb.View]] = [
-        (1.5 + 0.12 * lines, plot(
-            f"Spikes by neuron, {span}", "/spikes", window,
-            y=(-0.7, topology.neurons - 0.3), legend=False,
-        )),
+        (
+            1.5 + 0.12 * lines,
+            plot(
+                f"Spikes by neuron, {span}",
+                "/spikes",
+                window,
+                y=(-0.7, topology.neurons - 0.3),
+                legend=False,
+            ),
+        ),
         (2.0, plot(f"Potentials v, {span}", "/potentials", window, legend=topology.neurons <= 2)),
-        (1.2, plot(
-            f"Reward at each step, {span}", "/reward", window, only=["raw", "broadcast"],
-        )),
+        (
+            1.2,
+            plot(
+                f"Reward at each step, {span}",
+                "/reward",
+                window,
+                only=["raw", "broadcast"],
+            ),
+        ),
         *((1.4, _readings(unit, some, span, window)) for unit, some in _by_unit(task)),
-    ]  # fmt: skip
+    ]
     return rrb.Vertical(*(v for _, v in views), row_shares=[share for share, _ in views])
 
 

@@ -41,9 +41,12 @@ class Stored:
         silent, firing = self._topology.activity
         activity[self._topology.inputs :] = np.where(fired > 0, firing, silent)
         return replace(
-            frame, activity=activity, fired=fired, potential=last.potential[-1],
+            frame,
+            activity=activity,
+            fired=fired,
+            potential=last.potential[-1],
             reward=(float(last.reward[-1]), float(last.broadcast[-1])),
-        )  # fmt: skip
+        )
 
     def recent(self, step: int, most: int) -> Block | None:
         """The steps up to `step` that were kept without a gap, at most so many."""
@@ -55,10 +58,14 @@ class Stored:
         first = max(0, end - most) + (int(gaps[-1]) + 1 if len(gaps) else 0)
         cut = slice(first, end)
         return Block(
-            int(kept[first]) - 1, self.steps["fired"][cut], self.steps["reward"][cut],
-            self.steps["broadcast"][cut], np.zeros(end - first, dtype=bool),
-            self.steps["potential"][cut].astype(np.float64), np.zeros((0, 0)),
-        )  # fmt: skip
+            int(kept[first]) - 1,
+            self.steps["fired"][cut],
+            self.steps["reward"][cut],
+            self.steps["broadcast"][cut],
+            np.zeros(end - first, dtype=bool),
+            self.steps["potential"][cut].astype(np.float64),
+            np.zeros((0, 0)),
+        )
 
     @cached_property
     def steps(self) -> dict[str, NDArray[Any]]:
@@ -105,9 +112,12 @@ def steps_of(rows: dict[str, Table], topology: Topology) -> dict[str, NDArray[An
         neuron = spikes.scalars[whole, 0].astype(np.int64)
         fired[np.searchsorted(step, spikes.step[whole]), neuron] = 1
     return {
-        "step": step, "reward": reward.scalars[:, 0], "broadcast": broadcast.scalars[:, 0],
-        "fired": fired, "potential": potential,
-    }  # fmt: skip
+        "step": step,
+        "reward": reward.scalars[:, 0],
+        "broadcast": broadcast.scalars[:, 0],
+        "fired": fired,
+        "potential": potential,
+    }
 
 
 def matrices_of(

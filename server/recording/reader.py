@@ -134,9 +134,15 @@ def _open(path: Path) -> Recording:
         raise BadRecording("it is damaged (it speaks of steps far beyond its last keyframe)")
     end = tables.get(END)
     return Recording(
-        path, header, moments, log, edges, last, str(end.columns["reason"][0]) if end else None,
+        path,
+        header,
+        moments,
+        log,
+        edges,
+        last,
+        str(end.columns["reason"][0]) if end else None,
         extent.is_cut,
-    )  # fmt: skip
+    )
 
 
 def _header(table: Table | None, *, may_follow: bool) -> Header:

@@ -157,11 +157,24 @@ def _header(run: Run, budget: int, detail: str) -> Header:
     learner, task = run.learner, run.learner.task
     window = usual_window(task)
     return Header(
-        task=run.task_name, preset=task.preset_name, topology=learner.topology,
-        seed=learner.seed, first_lane=learner.first_lane + learner.watch, rule=str(learner.rule),
-        beta=learner.beta, gamma=learner.gamma, fall=learner.fall, dt=task.dt, step=learner.step,
-        window=run.history.window, edges=run.history.edges(learner.watch), log=tuple(run.log),
-        kept_window=window, detail=detail, budget=budget,
+        task=run.task_name,
+        preset=task.preset_name,
+        topology=learner.topology,
+        seed=learner.seed,
+        first_lane=learner.first_lane + learner.watch,
+        rule=str(learner.rule),
+        beta=learner.beta,
+        gamma=learner.gamma,
+        fall=learner.fall,
+        dt=task.dt,
+        step=learner.step,
+        window=run.history.window,
+        edges=run.history.edges(learner.watch),
+        log=tuple(run.log),
+        kept_window=window,
+        detail=detail,
+        budget=budget,
         thinning=thinning.rule(window, budget, detail),
-        versions=versions() | {TASK: str(task.version)}, machine=machine(),
-    )  # fmt: skip
+        versions=versions() | {TASK: str(task.version)},
+        machine=machine(),
+    )

@@ -136,9 +136,12 @@ class Recordings:
         from hebbviz.server.recording.recorder import Recorder
 
         recorder = Recorder(
-            target, self._run, budget=self._options.budget, detail=self._options.detail,
+            target,
+            self._run,
+            budget=self._options.budget,
+            detail=self._options.detail,
             on_notice=self._notice,
-        )  # fmt: skip
+        )
         self._run.followers.append(recorder)
         goes_on = (r for r in self._begun if r in self._run.followers or r.is_stuck)
         self._begun = [*goes_on, recorder]

@@ -149,11 +149,14 @@ def _check_type(kind: Any, depth: int = 0) -> None:
     if is_few or pa.types.is_list(kind):
         _check_type(kind.value_type, depth + 1)
     elif not (
-        pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind)
-        or pa.types.is_string(kind) or pa.types.is_temporal(kind)
+        pa.types.is_floating(kind)
+        or pa.types.is_integer(kind)
+        or pa.types.is_boolean(kind)
+        or pa.types.is_string(kind)
+        or pa.types.is_temporal(kind)
         or (pa.types.is_fixed_size_binary(kind) and kind.byte_width == _ROW_ID_BYTES)
         or (pa.types.is_struct(kind) and depth == 1)  # a tensor, see `chunks`
-    ):  # fmt: skip
+    ):
         raise ValueError(f"a column of {kind}")
 
 

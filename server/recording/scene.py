@@ -46,9 +46,15 @@ class Scene:
     """Writes the scene of one run: to the stream what stands still, to `rows` what changes."""
 
     def __init__(
-        self, stream: rr.RecordingStream, task: Task, topology: Topology, rows: Rows, *,
-        weight: Array | None = None, theme: Theme = palette.DARK,
-    ) -> None:  # fmt: skip
+        self,
+        stream: rr.RecordingStream,
+        task: Task,
+        topology: Topology,
+        rows: Rows,
+        *,
+        weight: Array | None = None,
+        theme: Theme = palette.DARK,
+    ) -> None:
         """`weight` (synapses,) chooses those drawn of a large network; without it, the first."""
         self._network = _Network(stream, task, topology, rows, weight, theme)
         self._props = Props(stream, task, rows, theme)
@@ -86,9 +92,14 @@ def unlit(topology: Topology, theme: Theme = palette.DARK) -> list[Any]:
 
 class _Network:
     def __init__(
-        self, stream: rr.RecordingStream, task: Task, topology: Topology, rows: Rows,
-        weight: Array | None, theme: Theme,
-    ) -> None:  # fmt: skip
+        self,
+        stream: rr.RecordingStream,
+        task: Task,
+        topology: Topology,
+        rows: Rows,
+        weight: Array | None,
+        theme: Theme,
+    ) -> None:
         self._stream, self._rows, self._inputs = stream, rows, topology.inputs
         self._latest_levels = np.zeros(0, dtype=np.uint32)
         self._looks, self._place = Looks(topology, theme), place(topology)
@@ -179,9 +190,15 @@ class _Network:
             return
         plates = _f32(np.stack([wide, wide, np.full(len(wide), 0.01)], axis=1))
         color = packed(np.array([theme.world_strong]))
-        self._log("zeros", rr.Boxes3D(
-            centers=self._feet, half_sizes=plates, fill_mode="solid", colors=color,
-        ))  # fmt: skip
+        self._log(
+            "zeros",
+            rr.Boxes3D(
+                centers=self._feet,
+                half_sizes=plates,
+                fill_mode="solid",
+                colors=color,
+            ),
+        )
         bars = rr.Boxes3D.from_fields(fill_mode="solid", labels=names, show_labels=False)
         self._log("inputs", bars)
 

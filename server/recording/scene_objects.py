@@ -119,14 +119,17 @@ def _mesh(prop: Prop, theme: Theme) -> rr.Mesh3D:
     mesh = meshes.SHAPES[prop.shape]()
     if prop.shape == "sphere":
         return rr.Mesh3D(
-            vertex_positions=mesh.vertices, triangle_indices=mesh.faces,
-            vertex_normals=2 * mesh.vertices, albedo_factor=color_of(prop, theme),
-        )  # fmt: skip
+            vertex_positions=mesh.vertices,
+            triangle_indices=mesh.faces,
+            vertex_normals=2 * mesh.vertices,
+            albedo_factor=color_of(prop, theme),
+        )
     corners = mesh.vertices[mesh.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return rr.Mesh3D(
-        vertex_positions=corners.reshape(-1, 3), vertex_normals=np.repeat(normals, 3, axis=0),
+        vertex_positions=corners.reshape(-1, 3),
+        vertex_normals=np.repeat(normals, 3, axis=0),
         triangle_indices=np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3),
         albedo_factor=color_of(prop, theme),
-    )  # fmt: skip
+    )

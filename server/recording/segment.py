@@ -202,9 +202,16 @@ class Take(threading.Thread):
         steps = self._step - self._header.step
         seconds = (self._ended or time.monotonic()) - self._began
         return Status(
-            self._target.words, self._target.size(), seconds, steps,
-            self._kept, self._plan.every, self._dropped, self._header.thinning, self.error,
-        )  # fmt: skip
+            self._target.words,
+            self._target.size(),
+            seconds,
+            steps,
+            self._kept,
+            self._plan.every,
+            self._dropped,
+            self._header.thinning,
+            self.error,
+        )
 
     def _tell(self, job: Job, size: int, *, must: bool = False) -> bool:
         """Put something on the queue if there is room, or in any case if it `must` be kept."""

@@ -82,10 +82,16 @@ class Writer:
         since, step = frame.since, frame.step
         low, high = since.potential_range.astype(np.float32)
         self._record(
-            "aggregate", step, steps=since.steps, spikes=since.spikes, least_potential=low,
-            greatest_potential=high, reward=since.tally.reward, broadcast=since.tally.broadcast,
+            "aggregate",
+            step,
+            steps=since.steps,
+            spikes=since.spikes,
+            least_potential=low,
+            greatest_potential=high,
+            reward=since.tally.reward,
+            broadcast=since.tally.broadcast,
             ended=since.tally.ended,
-        )  # fmt: skip
+        )
         for reading, kept in zip(frame.rule.memory, frame.memory, strict=True):
             self._add(f"reward/kept/{entity(reading.name)}", _at(step), np.array([kept]))
         rates = since.spikes / since.steps
@@ -154,9 +160,18 @@ class Writer:
         """A moment from which the run can be made again, with its checksum."""
         k = moment.keyframe
         self._record(
-            "keyframe", k.step, network=k.network, world=k.world, gamma=k.gamma, frozen=k.frozen,
-            rule=str(k.rule), memory=k.memory, fall=k.fall, logged=moment.logged, digest=k.digest(),
-        )  # fmt: skip
+            "keyframe",
+            k.step,
+            network=k.network,
+            world=k.world,
+            gamma=k.gamma,
+            frozen=k.frozen,
+            rule=str(k.rule),
+            memory=k.memory,
+            fall=k.fall,
+            logged=moment.logged,
+            digest=k.digest(),
+        )
 
     def say(self, step: int, words: str, level: str = "INFO") -> None:
         """A line among the events."""
@@ -234,9 +249,10 @@ class Writer:
             self._static(f"potentials/{name}", rr.SeriesLines(names=names))
             self._static(f"rates/{name}", rr.SeriesLines(colors=color, names=group.name))
         for path, color, name in (
-            ("parameters/beta", SERIES[3], "β"), ("parameters/gamma", SERIES[2], "γ"),
+            ("parameters/beta", SERIES[3], "β"),
+            ("parameters/gamma", SERIES[2], "γ"),
             (LOG_GAMMA, SERIES[2], "log₁₀ γ"),
-        ):  # fmt: skip
+        ):
             self._jumps(path, color, name)
         self._static("reward/raw", rr.SeriesLines(colors=SERIES[0], names="r of the task"))
         self._static("reward/broadcast", rr.SeriesLines(colors=SERIES[1], names="r as broadcast"))

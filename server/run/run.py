@@ -231,9 +231,14 @@ class Run:
         return Replay(self, moment, until)
 
     def become(
-        self, learner: Learner, *, history: History, log: list[Logged], tape: Tape | None,
+        self,
+        learner: Learner,
+        *,
+        history: History,
+        log: list[Logged],
+        tape: Tape | None,
         words: str,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Go on with another learner of the same making; can be undone. With no tape its past
         cannot be made again.
         """
@@ -250,10 +255,17 @@ class Run:
     def _remember(self, words: str) -> None:
         self._undo.append(
             UndoPoint(
-                self.learner, self.task_name, self.moment(), self.log, self.history.copy(),
-                self.tape, self.stored, self.ghost, words,
+                self.learner,
+                self.task_name,
+                self.moment(),
+                self.log,
+                self.history.copy(),
+                self.tape,
+                self.stored,
+                self.ghost,
+                words,
             )
-        )  # fmt: skip
+        )
         while len(self._undo) > 1 and self._remembers_too_much():
             del self._undo[0]
 

@@ -209,15 +209,18 @@ class Looks:
             ),
             input_height=height * TALLEST_INPUT,
             weight_colors=signs(
-                np.sign(frame.weight) * np.sqrt(size), palette.WEIGHT_POSITIVE,
-                palette.WEIGHT_NEGATIVE, self.theme.idle, floor=0.5,
+                np.sign(frame.weight) * np.sqrt(size),
+                palette.WEIGHT_POSITIVE,
+                palette.WEIGHT_NEGATIVE,
+                self.theme.idle,
+                floor=0.5,
             ),
             weight_radius=THINNEST + (self._thick - THINNEST) * size,
             trace_colors=signs(
                 trace, palette.TRACE_POSITIVE, palette.TRACE_NEGATIVE, self.theme.idle, floor=0.6
             ),
             trace_height=np.clip(trace, -1, 1) * TALLEST_TRACE * self._place.large,
-        )  # fmt: skip
+        )
 
     def _afterglow(self, frame: Frame, leaps: int) -> None:
         """Light of the neurons: their rate, fading; where steps are slow, spikes alone; of a step

@@ -81,9 +81,12 @@ class NetworkScene:
     def draw_change(self, radius: Array, sign: Array) -> None:
         """Lay the weight changes of a reward over the synapses; radius 0 hides."""
         hues = palette.signed(
-            sign[self.drawn], palette.WEIGHT_POSITIVE, palette.WEIGHT_NEGATIVE, (255, 255, 255),
+            sign[self.drawn],
+            palette.WEIGHT_POSITIVE,
+            palette.WEIGHT_NEGATIVE,
+            (255, 255, 255),
             floor=0.55,
-        )  # fmt: skip
+        )
         self._changes.batched_colors = palette.linear(hues)
         self._changes.batched_scales = self._tube_scales(radius[self.drawn])
 
@@ -158,9 +161,13 @@ class NetworkScene:
 
     def _add_reward(self) -> None:
         self._pulse = self._batch(
-            "pulse", meshes.sphere(3), self._place.middle[None], np.zeros((1, 3)), palette.REWARD,
+            "pulse",
+            meshes.sphere(3),
+            self._place.middle[None],
+            np.zeros((1, 3)),
+            palette.REWARD,
             0.1,
-        )  # fmt: skip
+        )
         self._reward_label, self._world_label, self._title = (
             self._scene.add_label(
                 f"{self._root}/{name}", "", position=OUT_OF_SIGHT, anchor="bottom-center"
@@ -179,30 +186,48 @@ class NetworkScene:
             where = self._topology.units_of(group.name)
             left = self._place.units[where][:, 0].min() - 0.35
             self._scene.add_label(
-                f"{self._root}/label/{group.name}", f"{group.name} · {group.size}",
-                position=(left, 0.0, self._place.units[where][0, 2]), anchor="center-right",
-            )  # fmt: skip
+                f"{self._root}/label/{group.name}",
+                f"{group.name} · {group.size}",
+                position=(left, 0.0, self._place.units[where][0, 2]),
+                anchor="center-right",
+            )
         if 1 < self._inputs <= MOST_LABELS:
             step, size = (0.2, 0.62) if self._inputs > FEW_LABELS else (0.0, 0.85)
             for k in range(self._inputs):
                 x, y, z = self._place.units[k]
                 self._scene.add_label(
-                    f"{self._root}/input/{k}", names[k], position=(x, y, z - 1.22 - step * (k % 2)),
-                    anchor="top-center", font_screen_scale=size,
-                )  # fmt: skip
+                    f"{self._root}/input/{k}",
+                    names[k],
+                    position=(x, y, z - 1.22 - step * (k % 2)),
+                    anchor="top-center",
+                    font_screen_scale=size,
+                )
 
     def _batch(
-        self, name: str, mesh: meshes.Mesh, positions: Array, scales: NDArray[Any], color: Rgb,
-        opacity: float | None = None, *, turns: Array | None = None,
-    ) -> Any:  # fmt: skip
+        self,
+        name: str,
+        mesh: meshes.Mesh,
+        positions: Array,
+        scales: NDArray[Any],
+        color: Rgb,
+        opacity: float | None = None,
+        *,
+        turns: Array | None = None,
+    ) -> Any:
         upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(positions), 1))
         return self._scene.add_batched_meshes_simple(
-            f"{self._root}/{name}", mesh.vertices, mesh.faces,
-            _f32(upright if turns is None else turns), _f32(positions),
+            f"{self._root}/{name}",
+            mesh.vertices,
+            mesh.faces,
+            _f32(upright if turns is None else turns),
+            _f32(positions),
             batched_scales=_f32(scales),
             batched_colors=np.tile(palette.linear(np.array(color)), (len(positions), 1)),
-            lod="off", opacity=opacity, cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
+            lod="off",
+            opacity=opacity,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
 
     def _draw_inputs(self, look: Look) -> None:
         places = self._place.units[: self._inputs]

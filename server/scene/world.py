@@ -57,13 +57,16 @@ class WorldScene:
     def _batch(self, shape: str, props: list[Prop], theme: Theme) -> Any:
         mesh, n = meshes.SHAPES[shape](), len(props)
         return self._scene.add_batched_meshes_simple(
-            f"{self._root}/{shape}", mesh.vertices, mesh.faces,
+            f"{self._root}/{shape}",
+            mesh.vertices,
+            mesh.faces,
             np.tile(np.array([1, 0, 0, 0], dtype=np.float32), (n, 1)),
             np.zeros((n, 3), dtype=np.float32),
             batched_scales=np.full((n, 3), 1e-4, dtype=np.float32),
             batched_colors=palette.linear(np.array([color_of(p, theme) for p in props])),
-            lod="off", flat_shading=shape == "box",
-        )  # fmt: skip
+            lod="off",
+            flat_shading=shape == "box",
+        )
 
 
 class _Trail:
@@ -74,9 +77,11 @@ class _Trail:
         fade = np.linspace(0.0, 1.0, TRAIL)
         colors = palette.blend(fade, theme.world, color_of(prop, theme))
         self._line = scene.add_line_segments(
-            f"{root}/trail {prop.name}", np.zeros((TRAIL, 2, 3), dtype=np.float32),
-            np.repeat(colors[:, None], 2, axis=1), thickness=0.03,
-        )  # fmt: skip
+            f"{root}/trail {prop.name}",
+            np.zeros((TRAIL, 2, 3), dtype=np.float32),
+            np.repeat(colors[:, None], 2, axis=1),
+            thickness=0.03,
+        )
 
     def draw(self, place: Array) -> None:
         if self._places and np.linalg.norm(place - self._places[-1]) > LEAP:

@@ -10,6 +10,16 @@ from hebbviz.sims.experiments.run import Done, Interrupted, finish, run, run_all
 from hebbviz.sims.experiments.workers import LostWorkers, Workers, open_workers
 
 __all__ = [
-    "Curves", "Done", "Interrupted", "LostWorkers", "Plan", "Workers", "figures_of", "finish",
-    "open_workers", "options_of", "run", "run_all",
-]  # fmt: skip
+    "Curves",
+    "Done",
+    "Interrupted",
+    "LostWorkers",
+    "Plan",
+    "Workers",
+    "figures_of",
+    "finish",
+    "open_workers",
+    "options_of",
+    "run",
+    "run_all",
+]

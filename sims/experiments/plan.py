@@ -86,10 +86,16 @@ class Plan:
     def learner(self, first_lane: int, lanes: int) -> Learner:
         """Some of the lanes at their start; raises ValueError and TaskError as `Learner` does."""
         return Learner(
-            self.make_task(), hidden=self.hidden, beta=self.beta, gamma=self.gamma, seed=self.seed,
-            first_lane=first_lane, lanes=lanes, written_out=lanes * self.steps >= LONG,
+            self.make_task(),
+            hidden=self.hidden,
+            beta=self.beta,
+            gamma=self.gamma,
+            seed=self.seed,
+            first_lane=first_lane,
+            lanes=lanes,
+            written_out=lanes * self.steps >= LONG,
             **{**self.options, "rule": self.rule()},
-        )  # fmt: skip
+        )
 
     def for_workers(self) -> Self:
         """This plan with the whole paths of a user's own files, for workers in other folders."""
@@ -193,9 +199,10 @@ class Curves:
     def scores(self, task: Task) -> dict[str, Array]:
         """The figures of the task's measure in every segment, each (lanes, segments)."""
         lanes, segments = self.reward.shape
-        return figures_of(task, [
-            [self.tally(lane, slice(k, k + 1)) for k in range(segments)] for lane in range(lanes)
-        ])  # fmt: skip
+        return figures_of(
+            task,
+            [[self.tally(lane, slice(k, k + 1)) for k in range(segments)] for lane in range(lanes)],
+        )
 
     def last(self, part: float = 0.2) -> list[Tally]:
         """Totals of each lane over the last part of its segments, at least one."""
@@ -220,7 +227,11 @@ def joined(curves: Sequence[Curves], lanes: int) -> Curves:
         return np.concatenate([getattr(c, name) for c in curves])
 
     return Curves(
-        first.end, first.steps, stacked("reward"), stacked("broadcast"), stacked("ended"),
+        first.end,
+        first.steps,
+        stacked("reward"),
+        stacked("broadcast"),
+        stacked("ended"),
         first.evaluated_at,
         {name: np.concatenate([c.figures[name] for c in curves]) for name in first.figures},
-    )  # fmt: skip
+    )

@@ -48,10 +48,14 @@ class Store:
         """Keep a tile in place of what was kept of it. Raises InputError if it cannot be."""
         assert tile.keyframe is not None
         header = {
-            "program": PROGRAM, "format": FORMAT, "plan": self._digest,
-            "first_lane": tile.first_lane, "lanes": tile.lanes, "figures": list(tile.figures),
+            "program": PROGRAM,
+            "format": FORMAT,
+            "plan": self._digest,
+            "first_lane": tile.first_lane,
+            "lanes": tile.lanes,
+            "figures": list(tile.figures),
             "pending": tile.pending,
-        }  # fmt: skip
+        }
         arrays = {_KEYFRAME + name: getattr(tile.keyframe, name) for name in _NUMBERS}
         arrays |= {f"figure {k}": values for k, values in enumerate(tile.figures.values())}
         arrays |= {"totals": tile.totals}
@@ -81,9 +85,13 @@ class Store:
         keyframe = Keyframe(rule=PAPER, **kept)
         figures = {name: arrays[f"figure {k}"] for k, name in enumerate(header["figures"])}
         tile = Tile(
-            header["first_lane"], header["lanes"], keyframe, arrays["totals"], figures,
+            header["first_lane"],
+            header["lanes"],
+            keyframe,
+            arrays["totals"],
+            figures,
             header["pending"],
-        )  # fmt: skip
+        )
         tile.check_fit(self._plan)
         return tile
 

@@ -197,10 +197,13 @@ class _Share:
     def tile(self) -> Tile:
         tile = self._tile
         return Tile(
-            tile.first_lane, tile.lanes, replace(self._learner.keyframe(), rule=PAPER),
+            tile.first_lane,
+            tile.lanes,
+            replace(self._learner.keyframe(), rule=PAPER),
             np.array(self._totals).reshape(-1, 3, tile.lanes),
-            {name: np.array(values) for name, values in self._figures.items()}, self._pending,
-        )  # fmt: skip
+            {name: np.array(values) for name, values in self._figures.items()},
+            self._pending,
+        )
 
     def _tally(self) -> Array:
         return np.array([[t.reward, t.broadcast, t.ended] for t in self._learner.tallies()]).T

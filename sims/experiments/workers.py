@@ -122,9 +122,11 @@ class _Cores:
 
     def _processes(self) -> Executor:
         return ProcessPoolExecutor(
-            self._cores, multiprocessing.get_context("spawn"), initializer=_begin_process,
+            self._cores,
+            multiprocessing.get_context("spawn"),
+            initializer=_begin_process,
             initargs=(self._stop,),
-        )  # fmt: skip
+        )
 
 
 def core_count() -> int:

@@ -37,10 +37,15 @@ def setting(plan: Plan) -> dict[str, Any]:
     rule.check_lanes(plan.lanes)
     learner = plan.learner(plan.first_lane, rule.least_lanes)
     return {
-        "task": plan.task, "preset": learner.task.preset_name,
-        "network": learner.topology.describe(), "beta": learner.beta, "gamma": learner.gamma,
-        "rule": str(learner.rule), "fall": finite(learner.fall), "lanes": plan.lanes,
-    }  # fmt: skip
+        "task": plan.task,
+        "preset": learner.task.preset_name,
+        "network": learner.topology.describe(),
+        "beta": learner.beta,
+        "gamma": learner.gamma,
+        "rule": str(learner.rule),
+        "fall": finite(learner.fall),
+        "lanes": plan.lanes,
+    }
 
 
 def words_of(plan: Plan) -> str:
@@ -70,9 +75,7 @@ def preset_note(plan: Plan) -> str:
 
 def _set_otherwise(plan: Plan) -> list[str]:
     """What is not as the plan's preset has it."""
-    own = Plan(
-        task=plan.task, preset=plan.preset, lanes=plan.lanes, segments=1, segment_steps=1
-    )  # fmt: skip
+    own = Plan(task=plan.task, preset=plan.preset, lanes=plan.lanes, segments=1, segment_steps=1)
     now, before = setting(plan), setting(own)
     names = {"network": "network", "beta": "β", "gamma": "γ", "rule": "rule", "fall": "fall of γ"}
     return [words for name, words in names.items() if now[name] != before[name]]
@@ -113,8 +116,16 @@ def draw_course(axes: Axes, course: Course, step: float, shade: Color) -> None:
     some, half = np.isfinite(course.over), np.isinf(course.median)
     for at, size, inside in ((some, 2.5, shade), (half, 5.5, "white")):
         if at.any():
-            axes.plot(times[at], course.over[at], "^", color=shade, ms=size, mfc=inside,
-                      clip_on=False, zorder=5)  # fmt: skip
+            axes.plot(
+                times[at],
+                course.over[at],
+                "^",
+                color=shade,
+                ms=size,
+                mfc=inside,
+                clip_on=False,
+                zorder=5,
+            )
 
 
 def known(times: NDArray[Any], values: Array) -> tuple[NDArray[Any], Array]:
@@ -129,8 +140,9 @@ def triangles(course: Course) -> str:
     return (
         f"△: no {event} in half of the runs or more, small ▲: in some; their mean time to {event} "
         "is over this, with 95 % confidence."
-        if np.isfinite(course.over).any() else ""
-    )  # fmt: skip
+        if np.isfinite(course.over).any()
+        else ""
+    )
 
 
 def beside(values: Array, height: float, width: float) -> Array:

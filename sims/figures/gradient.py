@@ -113,21 +113,28 @@ def make(order: Order, work: Work) -> Sheet:
     with look():
         figure = _draw(courses, lanes)
     numbers: dict[str, Any] = {
-        "lanes": lanes, "steps": steps, "beta": list(BETAS),
+        "lanes": lanes,
+        "steps": steps,
+        "beta": list(BETAS),
         "angle": [float(c.angle[:, -1].mean()) for c in courses],
         "angle_of_all": [float(c.of_all[-1]) for c in courses],
         "bias": [c.bias for c in courses],
         "expected_angle": [float(c.expected[-1]) for c in courses],
-    }  # fmt: skip
+    }
     quick = f"{lanes} estimates of {steps:,} steps in place of 16 of 10,000,000"
     return Sheet(figure, _table(courses), numbers, _TOGETHER, quick if order.quick else "")
 
 
 def _plans(beta: float, lanes: int, steps: int, seed: int) -> list[Watching]:
     whole = Watching(
-        beta=beta, gamma=STILL, seed=seed, lanes=lanes, segments=_POINTS,
-        segment_steps=steps // _POINTS, evaluate=1,
-    )  # fmt: skip
+        beta=beta,
+        gamma=STILL,
+        seed=seed,
+        lanes=lanes,
+        segments=_POINTS,
+        segment_steps=steps // _POINTS,
+        evaluate=1,
+    )
     return scales(whole, first=100 * _POINTS)
 
 
@@ -173,9 +180,14 @@ def _course(beta: float, curves: list[Curves], truth: GradientTruth) -> _Course:
 
 def _table(courses: list[_Course]) -> Table:
     columns: dict[str, list[float]] = {
-        "beta": [], "steps": [], "angle_mean": [], "angle_sd": [], "angle_of_all": [],
-        "angle_expected": [], "angle_of_bias": [],
-    }  # fmt: skip
+        "beta": [],
+        "steps": [],
+        "angle_mean": [],
+        "angle_sd": [],
+        "angle_of_all": [],
+        "angle_expected": [],
+        "angle_of_bias": [],
+    }
     lanes = len(courses[0].angle)
     columns |= {f"angle_{k}": [] for k in range(lanes)}
     for c in courses:
@@ -195,21 +207,28 @@ def _draw(courses: list[_Course], lanes: int) -> Figure:
     stands = 10.0 ** apart(np.log10([max(c.of_all[-1], _LOW) for c in courses]), _LABEL)
     for c, shade, stand in zip(courses, _COLORS, stands, strict=True):
         mean, sd = c.angle.mean(axis=0), deviation_of(c.angle, axis=0)
-        axes.fill_between(c.steps, np.maximum(mean - sd, _LOW), mean + sd, color=shade, alpha=0.18,
-                          lw=0)  # fmt: skip
+        axes.fill_between(
+            c.steps, np.maximum(mean - sd, _LOW), mean + sd, color=shade, alpha=0.18, lw=0
+        )
         axes.plot(c.steps, c.expected, color=dark(shade), lw=0.9, ls=(0, (4, 2)), zorder=4)
         axes.plot(c.steps, c.of_all, color=shade, zorder=3)
         axes.axhline(c.bias, color=shade, lw=1.0, ls=(0, (1, 1.6)), zorder=1)
         mark_end(axes, float(last), stand, f"β = {c.beta:g}", dark(shade))
-    axes.set(xscale="log", yscale="log", xlim=(100, last), ylim=(_LOW, _HIGH),
-             xlabel="steps t of the running mean of r z",
-             ylabel="angle to the exact gradient, degrees")  # fmt: skip
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlim=(100, last),
+        ylim=(_LOW, _HIGH),
+        xlabel="steps t of the running mean of r z",
+        ylabel="angle to the exact gradient, degrees",
+    )
     ticks = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 45, 90)
     axes.set_yticks(ticks, [f"{t:g}" for t in ticks])
     together = f"{lanes} independent estimates together; band: mean ± standard deviation of them"
     head(
-        axes, "The rule's estimate of the gradient: short traces are biased, long ones noisy",
+        axes,
+        "The rule's estimate of the gradient: short traces are biased, long ones noisy",
         f"line: {together if lanes > 1 else 'one estimate'}\n"
         "dashed: the line as it is expected at t steps; dotted: the bias of each β; both computed",
-    )  # fmt: skip
+    )
     return figure

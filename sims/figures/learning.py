@@ -53,10 +53,17 @@ def make(order: Order, work: Work) -> Sheet:
     points = _QUICK_POINTS if order.quick else _POINTS
     segments, segment_steps = cut(steps, _GROWING if task.measure.logarithmic else points)
     plan = Plan(
-        task=name, preset=order.preset, hidden=order.hidden, beta=order.beta, gamma=order.gamma,
-        seed=order.seed, lanes=order.lanes or (3 if order.quick else 16), segments=segments,
-        segment_steps=segment_steps, options=options_of(order),
-    )  # fmt: skip
+        task=name,
+        preset=order.preset,
+        hidden=order.hidden,
+        beta=order.beta,
+        gamma=order.gamma,
+        seed=order.seed,
+        lanes=order.lanes or (3 if order.quick else 16),
+        segments=segments,
+        segment_steps=segment_steps,
+        options=options_of(order),
+    )
     numbers = setting(plan) | {"steps": plan.steps, "measure": task.measure.key}
     if task.measure.logarithmic:
         first = max(1, steps // (_QUICK_SHOWN if order.quick else _SHOWN))
@@ -72,9 +79,12 @@ def make(order: Order, work: Work) -> Sheet:
     more = [_GROW if task.measure.logarithmic else "", triangles(shown)]
     notes = "\n".join(filter(None, (about, *more)))
     return Sheet(
-        figure, _table(task, time, shown), numbers | outcome(task, shown, found[-1]), notes,
+        figure,
+        _table(task, time, shown),
+        numbers | outcome(task, shown, found[-1]),
+        notes,
         quick if order.quick else "",
-    )  # fmt: skip
+    )
 
 
 def _table(task: Task, time: Time, course: Course) -> Table:
@@ -82,7 +92,7 @@ def _table(task: Task, time: Time, course: Course) -> Table:
         "step": course.steps.tolist(),
         **({} if time.key == "step" else {time.key: (course.steps / time.steps).tolist()}),
         **course_columns(course),
-    }  # fmt: skip
+    }
 
 
 def _draw(plan: Plan, task: Task, time: Time, course: Course) -> Figure:

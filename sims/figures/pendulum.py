@@ -118,19 +118,22 @@ def make(order: Order, work: Work) -> Sheet:
     plans = [
         evaluated(
             _plans(preset, _steps(order, preset), lanes, order.seed),
-            first=_FIRST, per_decade=per_decade,
+            first=_FIRST,
+            per_decade=per_decade,
         )
         for preset in presets
-    ]  # fmt: skip
+    ]
     baselines = measured_baselines(order.seed, _QUICK_EPISODES if order.quick else _EPISODES)
     found = iter(work.curves([plan for scale in plans for plan in scale]))
     curves = [_curve(scale, [next(found) for _ in scale], per_decade) for scale in plans]
     with look():
         figure = _draw(curves, baselines)
     notes = [
-        POINT, *{triangles(c.frozen) for c in curves} - {""}, LEARNING,
+        POINT,
+        *{triangles(c.frozen) for c in curves} - {""},
+        LEARNING,
         _not_drawn() if order.preset is None else preset_note(curves[0].plan),
-    ]  # fmt: skip
+    ]
     if any(_is_flat_literal(c) for c in curves):
         notes.append(f"Preset literal: {WHY_FLAT[0].lower()}{WHY_FLAT[1:]}")
     longest = shown(max(SECONDS.get(preset, OTHER_SECONDS) for preset in presets))
@@ -139,9 +142,12 @@ def make(order: Order, work: Work) -> Sheet:
         f"{'' if order.preset else 'up to '}{longest} simulated seconds"
     )
     return Sheet(
-        figure, _table(curves), _numbers(curves, baselines), "\n".join(notes),
+        figure,
+        _table(curves),
+        _numbers(curves, baselines),
+        "\n".join(notes),
         quick if order.quick else "",
-    )  # fmt: skip
+    )
 
 
 def _not_drawn() -> str:
@@ -166,11 +172,13 @@ def _curve(scale: Sequence[Plan], found: Sequence[Curves], per_decade: int) -> _
 def _numbers(curves: Sequence[_Curve], baselines: dict[str, float]) -> dict[str, Any]:
     presets = {
         c.plan.preset: {
-            **setting(c.plan), "simulated_s": c.plan.steps * PLANT.time_step,
-            **outcome(c.plan.make_task(), c.learning, c.whole), **frozen_outcome(c.frozen),
+            **setting(c.plan),
+            "simulated_s": c.plan.steps * PLANT.time_step,
+            **outcome(c.plan.make_task(), c.learning, c.whole),
+            **frozen_outcome(c.frozen),
         }
         for c in curves
-    }  # fmt: skip
+    }
     says = {"literal_says": WHY_FLAT} if any(_is_flat_literal(c) for c in curves) else {}
     return {"lanes": curves[0].plan.lanes, **baselines, "presets": presets, **says}
 
@@ -183,9 +191,13 @@ def _steps(order: Order, preset: str) -> int:
 def _plans(preset: str, steps: int, lanes: int, seed: int) -> list[Plan]:
     segments, segment_steps = cut(steps, _SEGMENTS)
     whole = Plan(
-        task="pendulum", preset=preset, seed=seed, lanes=lanes, segments=segments,
+        task="pendulum",
+        preset=preset,
+        seed=seed,
+        lanes=lanes,
+        segments=segments,
         segment_steps=segment_steps,
-    )  # fmt: skip
+    )
     whole.make_task()
     return scales(whole, first=_SEGMENTS * _FIRST // 10)
 
@@ -283,8 +295,17 @@ def _name_lines(axes: Axes, baselines: dict[str, float]) -> None:
     for line in _LINES:
         level = baselines[line.key]
         words = f"{line.words}\n{level:.3f} s"
-        axes.annotate(words, (1, level), (4, 0), ("axes fraction", "data"), "offset points",
-                      fontsize=TINY, color=IDLE, va=line.side, annotation_clip=False)  # fmt: skip
+        axes.annotate(
+            words,
+            (1, level),
+            (4, 0),
+            ("axes fraction", "data"),
+            "offset points",
+            fontsize=TINY,
+            color=IDLE,
+            va=line.side,
+            annotation_clip=False,
+        )
 
 
 def _table(curves: Sequence[_Curve]) -> Table:

@@ -94,10 +94,15 @@ def _made(order: Order, stop: threading.Event) -> dict[str, Any] | None:
     files = save(sheet, order.out, order.file, Origin(order.command, order.seed))
     shutil.rmtree(folder, ignore_errors=True)
     return {
-        "figure": order.name, "files": [str(path) for path in files], "command": order.command,
-        "version": __version__, "seed": order.seed, "quick": order.quick,
-        "seconds": time.perf_counter() - began, **sheet.numbers,
-    }  # fmt: skip
+        "figure": order.name,
+        "files": [str(path) for path in files],
+        "command": order.command,
+        "version": __version__,
+        "seed": order.seed,
+        "quick": order.quick,
+        "seconds": time.perf_counter() - began,
+        **sheet.numbers,
+    }
 
 
 @contextlib.contextmanager
@@ -147,9 +152,14 @@ def progress_bar(name: str) -> Iterator[Callable[[float], object]]:
 
     def bar(fraction: float, looks: str, *, leave: bool) -> Any:
         return tqdm(
-            desc=name, total=1.0, initial=fraction, bar_format=looks, leave=leave, file=sys.stderr,
+            desc=name,
+            total=1.0,
+            initial=fraction,
+            bar_format=looks,
+            leave=leave,
+            file=sys.stderr,
             mininterval=seconds,
-        )  # fmt: skip
+        )
 
     def show(fraction: float) -> None:
         if not bars:

@@ -87,10 +87,16 @@ def inner_plan(plan: Plan, setting: Setting) -> InnerPlan:
     """As many epochs with this setting, of fewer patterns; evaluated at the end."""
     steps = plan.steps // Sonar(setting.preset).epoch * Inner(setting.preset).epoch
     return InnerPlan(
-        task=plan.task, preset=setting.preset, gamma=setting.gamma, seed=plan.seed,
-        lanes=plan.lanes, segments=1, segment_steps=steps, evaluate_at=(steps,),
+        task=plan.task,
+        preset=setting.preset,
+        gamma=setting.gamma,
+        seed=plan.seed,
+        lanes=plan.lanes,
+        segments=1,
+        segment_steps=steps,
+        evaluate_at=(steps,),
         options=plan.options,
-    )  # fmt: skip
+    )
 
 
 def outer_plans(plan: Plan, chosen: NDArray[np.int64]) -> list[OuterPlan]:
@@ -100,12 +106,21 @@ def outer_plans(plan: Plan, chosen: NDArray[np.int64]) -> list[OuterPlan]:
     for k, setting in enumerate(GRID):
         splits = np.flatnonzero(chosen == k)
         if len(splits):
-            plans.append(OuterPlan(
-                task=plan.task, preset=setting.preset, gamma=setting.gamma, seed=plan.seed,
-                first_lane=first, lanes=len(splits), segments=plan.segments,
-                segment_steps=plan.segment_steps, evaluate=plan.evaluate, options=plan.options,
-                splits=tuple(splits.tolist()),
-            ))  # fmt: skip
+            plans.append(
+                OuterPlan(
+                    task=plan.task,
+                    preset=setting.preset,
+                    gamma=setting.gamma,
+                    seed=plan.seed,
+                    first_lane=first,
+                    lanes=len(splits),
+                    segments=plan.segments,
+                    segment_steps=plan.segment_steps,
+                    evaluate=plan.evaluate,
+                    options=plan.options,
+                    splits=tuple(splits.tolist()),
+                )
+            )
             first += len(splits)
     return plans
 
@@ -115,9 +130,12 @@ def _in_order(plans: Sequence[OuterPlan], curves: Sequence[Curves]) -> Curves:
     order = np.argsort([split for plan in plans for split in plan.splits])
     found = joined(curves, len(order))
     return replace(
-        found, reward=found.reward[order], broadcast=found.broadcast[order],
-        ended=found.ended[order], figures={n: v[order] for n, v in found.figures.items()},
-    )  # fmt: skip
+        found,
+        reward=found.reward[order],
+        broadcast=found.broadcast[order],
+        ended=found.ended[order],
+        figures={n: v[order] for n, v in found.figures.items()},
+    )
 
 
 def _cost(plan: Plan) -> float:

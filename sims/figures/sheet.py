@@ -68,17 +68,40 @@ def dark(shade: Color) -> Color:
 INK, FAINT, IDLE = color(LIGHT.ink), color(LIGHT.world), color(LIGHT.world_strong)
 
 _LOOK: dict[str, Any] = {
-    "font.family": "DejaVu Sans", "font.size": 8.5, "mathtext.fontset": "dejavusans",
-    "text.color": INK, "axes.labelcolor": INK, "axes.edgecolor": IDLE, "axes.titlesize": 9.5,
-    "axes.titleweight": "bold", "axes.titlelocation": "left", "axes.titlepad": _PAD,
-    "axes.linewidth": 0.8, "axes.spines.top": False, "axes.spines.right": False,
-    "axes.axisbelow": True, "axes.grid": True, "grid.color": FAINT, "grid.linewidth": 0.6,
-    "xtick.color": IDLE, "ytick.color": IDLE, "xtick.labelcolor": INK, "ytick.labelcolor": INK,
-    "xtick.minor.size": 0.0, "ytick.minor.size": 0.0, "lines.linewidth": 1.6,
-    "lines.solid_capstyle": "round", "legend.frameon": False, "legend.fontsize": SMALL,
-    "figure.facecolor": "white", "savefig.facecolor": "white", "savefig.dpi": 220,
-    "svg.hashsalt": "hebbviz", "svg.fonttype": "path", "path.simplify": True,
-}  # fmt: skip
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "mathtext.fontset": "dejavusans",
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": IDLE,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlepad": _PAD,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "grid.color": FAINT,
+    "grid.linewidth": 0.6,
+    "xtick.color": IDLE,
+    "ytick.color": IDLE,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.minor.size": 0.0,
+    "ytick.minor.size": 0.0,
+    "lines.linewidth": 1.6,
+    "lines.solid_capstyle": "round",
+    "legend.frameon": False,
+    "legend.fontsize": SMALL,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "savefig.dpi": 220,
+    "svg.hashsalt": "hebbviz",
+    "svg.fonttype": "path",
+    "path.simplify": True,
+}
 
 
 @dataclass(frozen=True)
@@ -154,12 +177,16 @@ def save(sheet: Sheet, folder: Path, name: str, origin: Origin) -> list[Path]:
             png, format="png", metadata=title | software | {k.title(): v for k, v in about.items()}
         )
         sheet.drawing.savefig(
-            svg, format="svg",
-            metadata=title | {
-                "Date": None, "Creator": software["Software"], "Source": origin.command,
+            svg,
+            format="svg",
+            metadata=title
+            | {
+                "Date": None,
+                "Creator": software["Software"],
+                "Source": origin.command,
                 "Description": "; ".join(f"{k}: {v}" for k, v in about.items()),
             },
-        )  # fmt: skip
+        )
     made = {"png": png.getvalue(), "svg": svg.getvalue(), "csv": _csv(sheet.table, about)}
     with writing(folder / f"{name}.png"), whole_folder(folder) as part:
         for kind, data in made.items():
@@ -201,9 +228,16 @@ def head(axes: Axes, title: str, words: str, shade: Color = INK) -> None:
     rows = words.count("\n") + 1
     axes.set_title(title, color=shade, pad=_PAD + 1.45 * SMALL * rows)
     axes.annotate(
-        words, (0, 1), (0, _PAD - 2), "axes fraction", "offset points", fontsize=SMALL,
-        va="bottom", linespacing=1.3, annotation_clip=False,
-    )  # fmt: skip
+        words,
+        (0, 1),
+        (0, _PAD - 2),
+        "axes fraction",
+        "offset points",
+        fontsize=SMALL,
+        va="bottom",
+        linespacing=1.3,
+        annotation_clip=False,
+    )
 
 
 def mark_end(
@@ -213,9 +247,15 @@ def mark_end(
     above and with 'top' below it.
     """
     axes.annotate(
-        text, (x, y), (5, 0), textcoords="offset points", va=stands, color=shade, fontsize=SMALL,
+        text,
+        (x, y),
+        (5, 0),
+        textcoords="offset points",
+        va=stands,
+        color=shade,
+        fontsize=SMALL,
         annotation_clip=False,
-    )  # fmt: skip
+    )
 
 
 def apart(places: Sequence[float] | NDArray[np.float64], gap: float) -> NDArray[np.float64]:
@@ -267,9 +307,15 @@ def _small_print(figure: Figure, made_by: Sequence[str], said: Sequence[str]) ->
     width, height = figure.get_size_inches()
     for row, text in enumerate(reversed([*said, *made_by])):
         figure.text(
-            _MARGIN / width, (0.08 + _PITCH * row) / height, text, fontsize=TINY,
-            color=IDLE if row < len(made_by) else INK, ha="left", va="bottom", in_layout=False,
-        )  # fmt: skip
+            _MARGIN / width,
+            (0.08 + _PITCH * row) / height,
+            text,
+            fontsize=TINY,
+            color=IDLE if row < len(made_by) else INK,
+            ha="left",
+            va="bottom",
+            in_layout=False,
+        )
 
 
 def _csv(table: Table, about: Mapping[str, str]) -> bytes:

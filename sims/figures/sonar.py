@@ -65,8 +65,10 @@ _WORDS = 6.0
 """The height of what is said at the end of a curve, in % of error."""
 _HELD_OUT = color(palette.SERIES[4])
 _COLORS = {
-    "training_error": color(palette.BRAND), "test_error": _HELD_OUT, "validation_error": _HELD_OUT,
-}  # fmt: skip
+    "training_error": color(palette.BRAND),
+    "test_error": _HELD_OUT,
+    "validation_error": _HELD_OUT,
+}
 
 
 @dataclass(frozen=True)
@@ -111,10 +113,15 @@ def make(order: Order, work: Work) -> Sheet:
     evaluations = _QUICK_EVALUATIONS if order.quick else _EVALUATIONS
     segments, epochs = cut(steps // task.epoch, evaluations)
     plan = Plan(
-        task="sonar", preset=task.preset_name, seed=order.seed, lanes=order.lanes or size.lanes,
-        segments=segments, segment_steps=epochs * task.epoch, evaluate=1,
+        task="sonar",
+        preset=task.preset_name,
+        seed=order.seed,
+        lanes=order.lanes or size.lanes,
+        segments=segments,
+        segment_steps=epochs * task.epoch,
+        evaluate=1,
         options={"dtype": "float32"},
-    )  # fmt: skip
+    )
     result = _result(plan, task, work)
     with look():
         figure = _draw(result)
@@ -192,17 +199,20 @@ def _of_patterns(errors: Array) -> float:
 def _numbers(result: _Result) -> dict[str, Any]:
     """The errors at the end, as fractions."""
     numbers = setting(result.plan) | {
-        "epochs": result.epochs, "steps_a_pattern": result.task.hold,
+        "epochs": result.epochs,
+        "steps_a_pattern": result.task.hold,
         "back_propagation_protocol": PROTOCOL,
-    }  # fmt: skip
+    }
     for name, value in BACK_PROPAGATION.items():
         numbers[f"{name}_back_propagation"] = value
     for name in reversed(result.names):
         last = result.curves.figures[name][:, -1]
         numbers |= {
-            name: float(last.mean()), f"{name}_sd": finite(deviation_of(last)),
-            f"{name}_se": finite(_error_of_mean(last)), f"{name}_worst": float(last.max()),
-        }  # fmt: skip
+            name: float(last.mean()),
+            f"{name}_sd": finite(deviation_of(last)),
+            f"{name}_se": finite(_error_of_mean(last)),
+            f"{name}_worst": float(last.max()),
+        }
     return numbers if result.selection is None else numbers | _of_selection(result)
 
 
@@ -212,13 +222,15 @@ def _of_selection(result: _Result) -> dict[str, Any]:
     assert selection is not None
     grid = [
         {
-            "preset": g.preset, "gamma": g.gamma,
-            "network": setting(inner_plan(result.plan, g))["network"], "chosen": count,
+            "preset": g.preset,
+            "gamma": g.gamma,
+            "network": setting(inner_plan(result.plan, g))["network"],
+            "chosen": count,
             "validation_error": float(errors.mean()),
             "validation_error_sd": finite(deviation_of(errors)),
         }
         for g, count, errors in zip(GRID, selection.counts, selection.validation, strict=True)
-    ]  # fmt: skip
+    ]
     most = selection.most_often
     test = result.curves.figures["test_error"][:, -1]
     return {
@@ -237,8 +249,10 @@ def _table(result: _Result) -> Table:
     columns: dict[str, Any] = {"epoch": [int(s) // task.epoch for s in curves.evaluated_at]}
     for name in result.names:
         errors = curves.figures[name]
-        columns |= {f"{name}_mean": errors.mean(axis=0).tolist(),
-                    f"{name}_sd": deviation_of(errors, axis=0).tolist()}  # fmt: skip
+        columns |= {
+            f"{name}_mean": errors.mean(axis=0).tolist(),
+            f"{name}_sd": deviation_of(errors, axis=0).tolist(),
+        }
     for name in result.names:
         columns |= lane_columns(name, curves.figures[name])
     if result.selection is not None:
@@ -269,9 +283,11 @@ def _draw(result: _Result) -> Figure:
         for each in (axes, ends):
             each.axhline(100.0 * value, color=_COLORS[name], lw=1.0, ls=(0, (1, 1.6)), zorder=1)
     axes.set(
-        xlim=(0, result.epochs), ylim=(-1.5, 55), ylabel="error of a frozen copy, %",
+        xlim=(0, result.epochs),
+        ylim=(-1.5, 55),
+        ylabel="error of a frozen copy, %",
         xlabel=f"epochs of {result.task.training} patterns, {result.task.hold:,} steps each",
-    )  # fmt: skip
+    )
     count_axis(axes.xaxis)
     ends.set(xlim=(-0.55, 1.55), xticks=[], xlabel="each run at the\nend, bar: mean")
     ends.grid(visible=False, axis="x")
@@ -301,16 +317,18 @@ def _head(axes: Axes, result: _Result) -> None:
     spread = f"mean ± standard deviation of {plan.lanes} runs" if plan.lanes > 1 else "1 run"
     about = setting(plan)
     how = (
-        f"preset {plan.preset}: {words_of(plan)}" if result.selection is None else
-        f"preset {plan.preset}: β {about['beta']:g}, rule {about['rule']}; γ and inputs are chosen "
-        "anew in each split"
-    )  # fmt: skip
+        f"preset {plan.preset}: {words_of(plan)}"
+        if result.selection is None
+        else f"preset {plan.preset}: β {about['beta']:g}, rule {about['rule']}; γ and inputs are "
+        "chosen in each split"
+    )
     theirs = ", ".join(f"{_label(n)} {100.0 * v:g}" for n, v in BACK_PROPAGATION.items())
     head(
-        axes, f"Sonar: mines or rocks, {spread}",
+        axes,
+        f"Sonar: mines or rocks, {spread}",
         f"{how}\ndotted: back-propagation, 6 hidden units (Gorman and Sejnowski 1988), {theirs} %;"
         f"\n{PROTOCOL}",
-    )  # fmt: skip
+    )
 
 
 def _label(name: str) -> str:

@@ -70,10 +70,16 @@ def played(seed: int) -> list[Moment]:
         pre, post = (bool(fired) for fired in frame.fired)
         moments.append(
             Moment(
-                frame.step, letter, pre, post, frame.reward[1], float(frame.trace[0]),
-                float(frame.weight[0]), before,
+                frame.step,
+                letter,
+                pre,
+                post,
+                frame.reward[1],
+                float(frame.trace[0]),
+                float(frame.weight[0]),
+                before,
             )
-        )  # fmt: skip
+        )
     return moments
 
 
@@ -140,9 +146,15 @@ def _draw(moments: list[Moment]) -> Figure:
 def _time(axes: Axes) -> None:
     """An arrow down the left side."""
     axes.axis("off")
-    axes.annotate("", (-0.084, 0.06), (-0.084, 0.97), "axes fraction", "axes fraction",
-                  annotation_clip=False,
-                  arrowprops={"arrowstyle": "-|>", "color": IDLE, "lw": 1.0})  # fmt: skip
+    axes.annotate(
+        "",
+        (-0.084, 0.06),
+        (-0.084, 0.97),
+        "axes fraction",
+        "axes fraction",
+        annotation_clip=False,
+        arrowprops={"arrowstyle": "-|>", "color": IDLE, "lw": 1.0},
+    )
     axes.text(-0.1, 0.985, "time", transform=axes.transAxes, fontsize=SMALL, color=IDLE)
 
 
@@ -162,24 +174,40 @@ def _panel(axes: Axes, m: Moment, most: float, words: str) -> None:
     if m.reward:
         _reward(axes)
     axes.text(-2.42, 0.78, f"({m.letter})", fontsize=9, fontweight="bold", va="center")
-    axes.text(0.1, -1.0, fill(words, 42), fontsize=TINY + 0.3, color=INK, ha="center", va="top",
-              alpha=0.75)  # fmt: skip
+    axes.text(
+        0.1,
+        -1.0,
+        fill(words, 42),
+        fontsize=TINY + 0.3,
+        color=INK,
+        ha="center",
+        va="top",
+        alpha=0.75,
+    )
 
 
 def _neuron(axes: Axes, x: float, size: float, *, fired: bool) -> None:
     """A cell body; one that fires is lit, and an action potential leaves along its axon."""
     if fired:
         for wide, alpha in ((0.19, 0.16), (0.09, 0.28)):  # no number lies on it
-            axes.add_patch(Circle((x, 0), size + wide, color=_SPIKE, alpha=alpha, lw=0, zorder=1,
-                                    clip_on=False))  # fmt: skip
+            axes.add_patch(
+                Circle(
+                    (x, 0), size + wide, color=_SPIKE, alpha=alpha, lw=0, zorder=1, clip_on=False
+                )
+            )
     face, edge = (_SPIKE, _SPIKE_EDGE) if fired else (_BODY, IDLE)
     axes.add_patch(Circle((x, 0), size, fc=face, ec=edge, lw=1.2, zorder=3))
     if fired:
         spike = [(-0.30, 0.0), (-0.1, 0.0), (-0.02, 0.30), (0.07, -0.1), (0.14, 0.0), (0.30, 0.0)]
         at = x if size < 0.5 else x + size + 0.26
         up = 0.0 if size < 0.5 else 0.28
-        axes.plot(*zip(*[(at + a, up + b) for a, b in spike], strict=True), color=INK if size < 0.5
-                  else _SPIKE_EDGE, lw=1.3, zorder=6, solid_joinstyle="round")  # fmt: skip
+        axes.plot(
+            *zip(*[(at + a, up + b) for a, b in spike], strict=True),
+            color=INK if size < 0.5 else _SPIKE_EDGE,
+            lw=1.3,
+            zorder=6,
+            solid_joinstyle="round",
+        )
 
 
 def _synapse(axes: Axes, m: Moment) -> None:
@@ -187,18 +215,37 @@ def _synapse(axes: Axes, m: Moment) -> None:
     touch = _POST - _POST_SIZE - _CLEFT
     size = _ending(m.weight)
     lit = m.presynaptic
-    axes.plot([_PRE + _PRE_SIZE, touch - size], [0, 0], lw=3.2 if lit else 2.0, zorder=2,
-              color=_SPIKE_EDGE if lit else IDLE, solid_capstyle="butt")  # fmt: skip
-    axes.plot([_POST + _POST_SIZE, 2.5], [0, 0], lw=3.2 if m.postsynaptic else 2.0, zorder=2,
-              color=_SPIKE_EDGE if m.postsynaptic else IDLE, solid_capstyle="butt")  # fmt: skip
+    axes.plot(
+        [_PRE + _PRE_SIZE, touch - size],
+        [0, 0],
+        lw=3.2 if lit else 2.0,
+        zorder=2,
+        color=_SPIKE_EDGE if lit else IDLE,
+        solid_capstyle="butt",
+    )
+    axes.plot(
+        [_POST + _POST_SIZE, 2.5],
+        [0, 0],
+        lw=3.2 if m.postsynaptic else 2.0,
+        zorder=2,
+        color=_SPIKE_EDGE if m.postsynaptic else IDLE,
+        solid_capstyle="butt",
+    )
     axes.add_patch(_shape(touch, size, fc=_STRENGTH, ec="none", zorder=4))
     if m.weight != m.weight_before:
         before = _ending(m.weight_before)
         axes.add_patch(_shape(touch, before, fc="none", ec=INK, lw=0.9, ls=(0, (2, 1.6)), zorder=5))
     change = m.weight - m.weight_before
     said = f"w {m.weight:.2f}" + (f"  Δw {change:+.2f}" if change else "")
-    axes.text(touch + 0.05, -0.62, said.replace("-", "−"), fontsize=TINY, ha="right", va="top",
-              color=dark(_STRENGTH))  # fmt: skip
+    axes.text(
+        touch + 0.05,
+        -0.62,
+        said.replace("-", "−"),
+        fontsize=TINY,
+        ha="right",
+        va="top",
+        color=dark(_STRENGTH),
+    )
 
 
 def _ending(weight: float) -> float:
@@ -208,8 +255,12 @@ def _ending(weight: float) -> float:
 def _shape(touch: float, size: float, **how: Any) -> Polygon:
     """A terminal: it widens from the axon to a face as high as it is long, before the cleft."""
     half = size * 0.66
-    return Polygon([(touch - size, -0.05), (touch, -half), (touch, half), (touch - size, 0.05)],
-                   closed=True, joinstyle="round", **how)  # fmt: skip
+    return Polygon(
+        [(touch - size, -0.05), (touch, -half), (touch, half), (touch - size, 0.05)],
+        closed=True,
+        joinstyle="round",
+        **how,
+    )
 
 
 def _level(axes: Axes, share: float, trace: float) -> None:
@@ -217,21 +268,46 @@ def _level(axes: Axes, share: float, trace: float) -> None:
     x, half = _POST - 0.2, _SQUARE / 2
     left = x - _WIDE
     axes.add_patch(Rectangle((left, -half), 2 * _WIDE, 2 * half, fc="white", ec="none", zorder=4))
-    axes.add_patch(Rectangle((left, 0), 2 * _WIDE, share * half * 0.94, ec="none", zorder=5,
-                             fc=_RISEN if trace >= 0 else _FALLEN))  # fmt: skip
+    axes.add_patch(
+        Rectangle(
+            (left, 0),
+            2 * _WIDE,
+            share * half * 0.94,
+            ec="none",
+            zorder=5,
+            fc=_RISEN if trace >= 0 else _FALLEN,
+        )
+    )
     axes.plot([left, x + _WIDE], [0, 0], color=INK, lw=0.8, ls=(0, (2.4, 1.8)), zorder=6)
     axes.add_patch(
         Rectangle((left, -half), 2 * _WIDE, 2 * half, fc="none", ec=INK, lw=0.9, zorder=7)
     )
     shade = dark(_RISEN if trace >= 0 else _FALLEN)
-    axes.text(_POST + _POST_SIZE * 0.87, -0.81, f"z {trace:+.2f}".replace("-", "−"), ha="left",
-              fontsize=TINY, va="center", color=shade)  # fmt: skip
+    axes.text(
+        _POST + _POST_SIZE * 0.87,
+        -0.81,
+        f"z {trace:+.2f}".replace("-", "−"),
+        ha="left",
+        fontsize=TINY,
+        va="center",
+        color=shade,
+    )
 
 
 def _reward(axes: Axes) -> None:
     x = _POST + 0.42
-    axes.text(x, 0.0, "r", fontsize=11, fontstyle="italic", fontweight="bold", color=INK,
-              ha="center", va="center", zorder=8)  # fmt: skip
+    axes.text(
+        x,
+        0.0,
+        "r",
+        fontsize=11,
+        fontstyle="italic",
+        fontweight="bold",
+        color=INK,
+        ha="center",
+        va="center",
+        zorder=8,
+    )
 
 
 def _course(axes: Axes, moments: list[Moment]) -> None:
@@ -250,11 +326,21 @@ def _course(axes: Axes, moments: list[Moment]) -> None:
     for m in moments:
         if m.presynaptic or m.postsynaptic:
             side = "pre" if m.presynaptic else "post"
-            axes.text(m.step, low + 0.03, side, fontsize=TINY, ha="center", va="bottom",
-                      color=_SPIKE_EDGE)  # fmt: skip
+            axes.text(
+                m.step, low + 0.03, side, fontsize=TINY, ha="center", va="bottom", color=_SPIKE_EDGE
+            )
         if m.reward:
-            axes.text(m.step, low + 0.03, "r", fontsize=9, fontstyle="italic", fontweight="bold",
-                      ha="center", va="bottom", color=INK)  # fmt: skip
+            axes.text(
+                m.step,
+                low + 0.03,
+                "r",
+                fontsize=9,
+                fontstyle="italic",
+                fontweight="bold",
+                ha="center",
+                va="bottom",
+                color=INK,
+            )
     axes.set(xlim=(0.5, len(moments) + 0.5), ylim=(low, high))
     axes.set_xticks(steps, [f"({m.letter})" if m.letter else str(m.step) for m in moments])
     axes.tick_params(axis="x", length=0, labelsize=SMALL)

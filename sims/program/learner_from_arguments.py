@@ -41,9 +41,15 @@ def make_learner(args: argparse.Namespace) -> Learner:
     if rule is None:
         rule = make_rule(task.preset.rule)
     return Learner(
-        task, hidden=args.hidden, beta=args.beta, gamma=args.gamma, rule=rule, fall=args.fall,
-        seed=args.seed or 0, lanes=getattr(args, "lanes", None) or rule.least_lanes,
-    )  # fmt: skip
+        task,
+        hidden=args.hidden,
+        beta=args.beta,
+        gamma=args.gamma,
+        rule=rule,
+        fall=args.fall,
+        seed=args.seed or 0,
+        lanes=getattr(args, "lanes", None) or rule.least_lanes,
+    )
 
 
 def asked_rule(args: argparse.Namespace) -> Rule | None:

@@ -126,18 +126,31 @@ class Sweep:
         name = args.task or DEFAULT_TASK
         task = make_task(name, args.preset)
         given = {f.name: getattr(args, f.name) for f in fields(cls) if hasattr(args, f.name)}
-        return cls(**given | {
-            "task": name, "preset": task.preset_name, "steps": steps_of(args, task) or STEPS,
-            "betas": args.beta or (task.preset.beta,), "gammas": args.gamma or (task.preset.gamma,),
-        })  # fmt: skip
+        return cls(
+            **given
+            | {
+                "task": name,
+                "preset": task.preset_name,
+                "steps": steps_of(args, task) or STEPS,
+                "betas": args.beta or (task.preset.beta,),
+                "gammas": args.gamma or (task.preset.gamma,),
+            }
+        )
 
     def plan(self, beta: float, gamma: float) -> Plan:
         """The runs of a point."""
         return Plan(
-            task=self.task, preset=self.preset, hidden=self.hidden, beta=beta, gamma=gamma,
-            seed=self.seed, lanes=self.lanes, segments=PARTS, segment_steps=-(-self.steps // PARTS),
+            task=self.task,
+            preset=self.preset,
+            hidden=self.hidden,
+            beta=beta,
+            gamma=gamma,
+            seed=self.seed,
+            lanes=self.lanes,
+            segments=PARTS,
+            segment_steps=-(-self.steps // PARTS),
             options=options_of(self),
-        )  # fmt: skip
+        )
 
     def plans(self) -> list[Plan]:
         """All points, β by β, and last the same lanes without learning, to compare with."""
@@ -157,10 +170,24 @@ class Sweep:
             if getattr(self, option) is not None:
                 network += [f"--{option}", said(getattr(self, option))]
         return shlex.join(
-            ["hebbviz", "sweep", *network, "--beta", _listed(self.betas), "--gamma",
-             _listed(self.gammas), "--lanes", str(self.lanes), "--steps", str(self.steps),
-             "--seed", str(self.seed), "--out", "FOLDER"]
-        )  # fmt: skip
+            [
+                "hebbviz",
+                "sweep",
+                *network,
+                "--beta",
+                _listed(self.betas),
+                "--gamma",
+                _listed(self.gammas),
+                "--lanes",
+                str(self.lanes),
+                "--steps",
+                str(self.steps),
+                "--seed",
+                str(self.seed),
+                "--out",
+                "FOLDER",
+            ]
+        )
 
     @property
     def file(self) -> str:

@@ -34,9 +34,12 @@ _MOST_WORDS = 12
 
 
 def sheet(
-    sweep: Sweep, task: Task, points: Sequence[Outcome], untrained: Outcome,
+    sweep: Sweep,
+    task: Task,
+    points: Sequence[Outcome],
+    untrained: Outcome,
     more: Sequence[dict[str, Any]],
-) -> Sheet:  # fmt: skip
+) -> Sheet:
     """The map of points, β by β; `more` is what their table says besides."""
     with look():
         figure = _draw(sweep, task, points, untrained)
@@ -44,10 +47,8 @@ def sheet(
     numbers = {
         "best": best,
         "untrained_median": finite(untrained.median),
-        "points": [
-            {**about(p, untrained), **m} for p, m in zip(points, more, strict=True)
-        ],
-    }  # fmt: skip
+        "points": [{**about(p, untrained), **m} for p, m in zip(points, more, strict=True)],
+    }
     medians = "The last fifth" if sweep.lanes == 1 else "Medians, over the last fifth,"
     note = (
         f"{medians} of {runs(sweep.lanes)} of {untrained.plan.steps:,} steps; untrained "
@@ -76,9 +77,8 @@ def _best(points: Sequence[Outcome], untrained: Outcome) -> list[int]:
     """The places of those that are rewarded most; none if all their runs fail."""
     rewards = [float(np.median(p.reward)) for p in points]
     return [
-        k for k, p in enumerate(points)
-        if rewards[k] == max(rewards) and p.failing(untrained) < 1.0
-    ]  # fmt: skip
+        k for k, p in enumerate(points) if rewards[k] == max(rewards) and p.failing(untrained) < 1.0
+    ]
 
 
 def _named(point: Outcome) -> dict[str, Any]:
@@ -106,11 +106,15 @@ def about(point: Outcome, untrained: Outcome) -> dict[str, Any]:
     low, high = point.quartiles
     event = point.measure.event
     return {
-        "beta": point.plan.beta, "gamma": point.plan.gamma, "median": finite(point.median),
-        "lower_quartile": finite(low), "upper_quartile": finite(high),
+        "beta": point.plan.beta,
+        "gamma": point.plan.gamma,
+        "median": finite(point.median),
+        "lower_quartile": finite(low),
+        "upper_quartile": finite(high),
         **({f"lanes_without_{event}": point.without} if event else {}),
-        "failing": point.failing(untrained), "average_reward": finite(np.median(point.reward)),
-    }  # fmt: skip
+        "failing": point.failing(untrained),
+        "average_reward": finite(np.median(point.reward)),
+    }
 
 
 def _table(
@@ -129,9 +133,12 @@ def _draw(sweep: Sweep, task: Task, points: Sequence[Outcome], untrained: Outcom
     axes = figure.add_subplot()
     medians = np.array([p.drawn for p in points]).reshape(rows, columns)
     image = axes.imshow(
-        medians, cmap=_colors(points), norm=_norm(task.measure, medians), aspect="auto",
+        medians,
+        cmap=_colors(points),
+        norm=_norm(task.measure, medians),
+        aspect="auto",
         origin="lower",
-    )  # fmt: skip
+    )
     axes.grid(visible=False)
     axes.set_xticks(range(columns), [shown(g) for g in sweep.gammas])
     axes.set_yticks(range(rows), [f"{b:.16g}" for b in sweep.betas])
@@ -165,9 +172,12 @@ def _norm(measure: Measure, medians: NDArray[np.float64]) -> Normalize:
 
 
 def _write_cells(
-    axes: Axes, points: Sequence[Outcome], untrained: Outcome, image: AxesImage,
+    axes: Axes,
+    points: Sequence[Outcome],
+    untrained: Outcome,
+    image: AxesImage,
     digits: Callable[[float], str],
-) -> None:  # fmt: skip
+) -> None:
     """The median, and below it the lanes that fail."""
     shades = image.cmap(image.norm(np.array([p.drawn for p in points])))
     columns = round(image.get_extent()[1] + 0.5)

@@ -70,13 +70,20 @@ def _made(
     drawn = sheet(sweep, task, points, untrained, more)
     paths = save(drawn, out, name, Origin(sweep.command, sweep.seed))
     return {
-        "files": [str(path) for path in paths], "command": sweep.command,
-        "version": hebbviz.__version__, "seed": sweep.seed,
-        "seconds": time.perf_counter() - began, "task": sweep.task,
-        "preset": about["preset"], "network": about["network"], "lanes": sweep.lanes,
-        "steps": sweep.untrained.steps, "measure": task.measure.key, "unit": task.measure.unit,
+        "files": [str(path) for path in paths],
+        "command": sweep.command,
+        "version": hebbviz.__version__,
+        "seed": sweep.seed,
+        "seconds": time.perf_counter() - began,
+        "task": sweep.task,
+        "preset": about["preset"],
+        "network": about["network"],
+        "lanes": sweep.lanes,
+        "steps": sweep.untrained.steps,
+        "measure": task.measure.key,
+        "unit": task.measure.unit,
         **drawn.numbers,
-    }  # fmt: skip
+    }
 
 
 def _run(sweep: Sweep, folder: Path, stop: threading.Event, scheduler: str | None) -> list[Done]:

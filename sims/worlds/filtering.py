@@ -74,10 +74,11 @@ class Filtering(FiniteWorld):
     past = COLUMNS - 1
     presets = {
         "quick": Preset(
-            0.8, 3e-3,
+            0.8,
+            3e-3,
             "the paper's rule; the task is not the paper's, and its hidden neurons hear each other",
         ),
-    }  # fmt: skip
+    }
     measure = Measure("share of right answers", "right", span=(0.4, 1.0))
     frozen_figures = ("baseline", "best")
     watch_speed = 6.0

@@ -28,13 +28,15 @@ class Gradient(Lamps):
     weight_range = 1.0
     presets = {
         "still": Preset(
-            0.8, STANDS_STILL, "not in the paper; γ so small that the weights stand still",
+            0.8,
+            STANDS_STILL,
+            "not in the paper; γ so small that the weights stand still",
             {"speed": 10_000.0},
         ),
         "learning": Preset(
             0.8, 2e-5, "not in the paper; γ so small that the estimate keeps up with the weights"
         ),
-    }  # fmt: skip
+    }
 
     def __init__(self, preset: str | None = None) -> None:
         super().__init__(preset)

@@ -91,11 +91,12 @@ class Prediction(FiniteWorld):
     past = COLUMNS - 1
     presets = {
         "quick": Preset(
-            0.8, 1e-2,
+            0.8,
+            1e-2,
             "the paper's rule; the task is not the paper's, and its inputs also reach the outputs "
             "directly",
         ),
-    }  # fmt: skip
+    }
     measure = Measure("share of right predictions", "right", span=(0.0, 1.0))
     frozen_figures = ("baseline", "best")
     watch_speed = 3.0
@@ -106,11 +107,13 @@ class Prediction(FiniteWorld):
     )
     legend = "rows from the back: lights, predictions, small where wrong"
     props = (
-        Prop("floor", "box", "world"), Prop("post", "box", "world strong"),
+        Prop("floor", "box", "world"),
+        Prop("post", "box", "world strong"),
         *(Prop(f"{light} off", "sphere", "world") for light in LIGHTS),
         *(Prop(f"{n} on", "sphere", c) for n, c in zip(LIGHTS, _COLORS, strict=True)),
-        *_WAS.props, *_SAID.props,
-    )  # fmt: skip
+        *_WAS.props,
+        *_SAID.props,
+    )
 
     def topology(self, hidden: Sequence[int] | None = None) -> Topology:
         """Layers, and the inputs project to the outputs too."""

@@ -45,8 +45,17 @@ constant input beside scaled bands is this too.
 """
 
 (
-    _TICK, _INDEX, _EPOCH, _PATTERN, _LABEL, _PREDICTION, _RIGHT, _LENGTH, _SHUFFLES, _ORDER,
-) = range(10)  # fmt: skip
+    _TICK,
+    _INDEX,
+    _EPOCH,
+    _PATTERN,
+    _LABEL,
+    _PREDICTION,
+    _RIGHT,
+    _LENGTH,
+    _SHUFFLES,
+    _ORDER,
+) = range(10)
 _MEAN = _ORDER + PATTERNS
 _FACTOR = _MEAN + ENERGIES
 _HOLD = ENERGIES + 1
@@ -156,9 +165,11 @@ class Setting:
 
 
 GRID = (
-    Setting(BEST, 0.001), Setting(BEST, 0.002),
-    Setting(f"{BEST}:scaled=no,constant=no", 0.1), Setting(f"{BEST}:scaled=no,constant=no", 0.2),
-)  # fmt: skip
+    Setting(BEST, 0.001),
+    Setting(BEST, 0.002),
+    Setting(f"{BEST}:scaled=no,constant=no", 0.1),
+    Setting(f"{BEST}:scaled=no,constant=no", 0.2),
+)
 """From these `figure sonar --preset best` chooses, in each split anew: in 100 splits 31, 31, 19 and
 19 times. Preset `best` is the one chosen most often; of the two that are level it is the one with
 the lesser validation error (16.7 %, the other 16.8 %). As these 208 patterns chose it, its error on
@@ -189,20 +200,24 @@ class Sonar(CompiledTask):
     frozen_figures = ("training_error", "test_error")
     """Of the patterns that it learns from, and of those that are held out."""
     readings = (
-        Reading("pattern", steps=True), Reading("class", "mine 1, rock -1", steps=True),
+        Reading("pattern", steps=True),
+        Reading("class", "mine 1, rock -1", steps=True),
         Reading("prediction", "mine 1, rock -1", steps=True),
-    )  # fmt: skip
+    )
     presets = {
         "quick": Preset(0.5, 1e-3, "γ ten times the paper's, all else as in the paper"),
         "paper": Preset(0.5, 1e-4, "the paper's β and γ: allow it 2 000 epochs"),
         BEST: Preset(
-            0.5, 0.002,
+            0.5,
+            0.002,
             "a reward baseline, a γ that falls by half in 60 epochs, 128 hidden units, 100 steps a "
             "pattern (1 000 where errors are counted)",
-            {CENTRED: True, SCALED: True, CONSTANT: True, "hold": 100}, "baseline:time=200",
-            fall=1.122e6, hidden=(128,),
+            {CENTRED: True, SCALED: True, CONSTANT: True, "hold": 100},
+            "baseline:time=200",
+            fall=1.122e6,
+            hidden=(128,),
         ),
-    }  # fmt: skip
+    }
     switches = (
         Switch(CENTRED, "inputs less their mean over the training set"),
         Switch(

@@ -111,17 +111,25 @@ class Controls:
             "β", "0.98", hint="the fraction of a trace that remains after a step"
         )
         self.memory = gui.add_slider(
-            "β by memory", SHORTEST, LONGEST, 0.01, 1.7,
+            "β by memory",
+            SHORTEST,
+            LONGEST,
+            0.01,
+            1.7,
             marks=((0.0, "1"), (1.0, "10"), (2.0, "100"), (3.0, "1000"), (4.0, "10⁴")),
             hint="β by its time constant 1/(1−β) in steps, logarithmic",
-        )  # fmt: skip
+        )
         self.memory_words = gui.add_markdown("")
         self.gamma = gui.add_text("γ", "0.01", hint="the step size: how far a reward moves w")
         self.step_size = gui.add_slider(
-            "γ, step size", LEAST_GAMMA, GREATEST_GAMMA, 0.05, -2.0,
+            "γ, step size",
+            LEAST_GAMMA,
+            GREATEST_GAMMA,
+            0.05,
+            -2.0,
             marks=tuple((float(k), f"1e{k}") for k in (-8, -6, -4, -2)),
             hint="γ, logarithmic",
-        )  # fmt: skip
+        )
         self.frozen = gui.add_checkbox("freeze learning", False, hint="F: γ is restored afterwards")
         self._ui.when(self.beta, self._set_typed_beta)
         self._ui.when(self.memory, lambda v: SetBeta(round(1.0 - 10.0**-v, 6)))
@@ -141,9 +149,14 @@ class Controls:
     def _build_watch(self) -> None:
         gui = self._gui
         self.lane = gui.add_number(
-            "lane", 0, min=0, max=0, step=1, visible=False,
+            "lane",
+            0,
+            min=0,
+            max=0,
+            step=1,
+            visible=False,
             hint="the replica that is shown; G: previous, H: next",
-        )  # fmt: skip
+        )
         self._ui.when(self.lane, lambda v: WatchLane(int(v)))
         self.watch = gui.add_checkbox(
             "watch", True, hint="play slow excerpts while the run continues at full speed"
@@ -169,11 +182,15 @@ class Controls:
         self.new_seed = gui.add_button("New seed", icon=viser.Icon.DICE_5)
         self.hidden = gui.add_text("hidden", "8", hint="sizes of the hidden layers: 16 or 8,8")
         self.lanes = gui.add_number(
-            "lanes", 1, min=1, max=MOST_SHOWN_LANES, step=1,
+            "lanes",
+            1,
+            min=1,
+            max=MOST_SHOWN_LANES,
+            step=1,
             hint="the number of replicas that run side by side, each with its own random numbers. "
             "Changing it starts a new run; lane 0 stays the same. A world that is stepped in "
             "Python, such as the pendulum, takes proportionally longer",
-        )  # fmt: skip
+        )
         self._ui.when(self.typed_speed, lambda v: SetSpeed(_speed(v)))
         self._ui.when(self.seed, self._choose_seed)
         self._ui.when(self.hidden, self._choose_hidden)
@@ -244,10 +261,12 @@ class Controls:
 
     def _add_switch(self, switch: Switch, task: Task) -> Any:
         handle = self._gui.add_checkbox(
-            switch.name, task.settings[switch.name], order=self.preset_note.order + 0.5,
+            switch.name,
+            task.settings[switch.name],
+            order=self.preset_note.order + 0.5,
             hint=f"{switch.words}. Changing it starts a new run with the current β, γ, rule and "
             "network",
-        )  # fmt: skip
+        )
         self._ui.when(handle, lambda v: Reset(switch=(switch.name, bool(v))))
         return handle
 

@@ -44,10 +44,15 @@ class Rewind:
         with gui.add_folder("Rewind", order=order):
             self.slider = MovingSlider(
                 gui.add_slider(
-                    "go to", 0, 1, 1, 0, marks=(),
+                    "go to",
+                    0,
+                    1,
+                    1,
+                    0,
+                    marks=(),
                     hint="drag to any past step; the run pauses meanwhile",
                 )
-            )  # fmt: skip
+            )
             self.events = gui.add_button_group("jump to", tuple(EVENTS), hint="J, K: changes")
             self._build_past(gui)
         self._ui.when(self.slider, self._seek)
@@ -67,9 +72,10 @@ class Rewind:
             "loop", False, hint="at the end, play from the beginning again"
         )
         self.take_over = gui.add_button(
-            "Take over here", icon=viser.Icon.PLAYER_TRACK_NEXT,
+            "Take over here",
+            icon=viser.Icon.PLAYER_TRACK_NEXT,
             hint="T: the run continues from this step; undo restores what came after",
-        )  # fmt: skip
+        )
         self.back = gui.add_button("Back to now", icon=viser.Icon.ARROW_FORWARD_UP, hint="B")
         advice = gui.add_markdown(TRY_IT)
         self._past = (self.step, self.loop, self.take_over, self.back, advice)

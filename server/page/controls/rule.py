@@ -29,9 +29,10 @@ class RuleControls:
         gui = widgets.gui
         with folder:
             self.fall = gui.add_text(
-                "γ falls over", NEVER,
+                "γ falls over",
+                NEVER,
                 hint="T in steps, or never: at step t the effective γ is γ T/(T + t)",
-            )  # fmt: skip
+            )
             self.in_force = gui.add_markdown("")
             self.rule = gui.add_dropdown(
                 "rule", rule_names(), hint="how the reward becomes the signal that synapses receive"
@@ -69,9 +70,12 @@ class RuleControls:
         said, name = field.metadata, field.name
         unit = f" ({said['unit']})" if said["unit"] else ""
         handle = self._ui.gui.add_number(
-            f"{name}{unit}", float(getattr(rule, name)), min=said["least"], max=said["most"],
+            f"{name}{unit}",
+            float(getattr(rule, name)),
+            min=said["least"],
+            max=said["most"],
             hint=said["hint"],
-        )  # fmt: skip
+        )
 
         def command(value: float) -> SetRule | None:
             assert self._rule is not None

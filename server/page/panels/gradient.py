@@ -123,9 +123,13 @@ class Gradient(Panel):
             f"<b>|</b> its limit, β {beta:.6g}</div>"
         )
         drawn = bars(
-            self._names[:MOST_ROWS], truth.gradient[:MOST_ROWS], mean, truth.biased[:MOST_ROWS],
-            self._scale.fit(largest), self._theme,
-        )  # fmt: skip
+            self._names[:MOST_ROWS],
+            truth.gradient[:MOST_ROWS],
+            mean,
+            truth.biased[:MOST_ROWS],
+            self._scale.fit(largest),
+            self._theme,
+        )
         return f'{key}<div style="padding:0 12px">{drawn}</div>'
 
     def _draw_chart(self, truth: GradientTruth, estimate: Estimate) -> None:

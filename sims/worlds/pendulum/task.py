@@ -43,50 +43,63 @@ class Pendulum(Task):
     hidden = (4,)
     dt = PLANT.time_step
     weight_range = 0.05
-    measure = Measure("time to fall", "mean_time_to_fall_s", "s", span=(0.1, 1e4), logarithmic=True,
-                      event="fall")  # fmt: skip
+    measure = Measure(
+        "time to fall", "mean_time_to_fall_s", "s", span=(0.1, 1e4), logarithmic=True, event="fall"
+    )
     presets = {
         "baseline": Preset(
-            0.985, 1e-2,
+            0.985,
+            1e-2,
             "as quick, with 16 hidden units, a trace a third longer and a reward baseline, which "
             "the paper has not; after 10⁶ steps all of 192 runs stay up for over 160 s",
             {"gains": (1.0, 2.0, 10.0, 2.0)},
-            rule="baseline:time=10000", hidden=(16,),
+            rule="baseline:time=10000",
+            hidden=(16,),
         ),
         "quick": Preset(
-            0.98, 1e-2,
+            0.98,
+            1e-2,
             "the paper's plain rule: after 10⁶ steps 84 % of runs stay up for over 100 s, one in "
             "seven for less than 50 s; γ 10⁴ times the paper's, β 0.98 in place of 0.995, and "
             "inputs scaled by 1, 2, 10, 2",
             {"gains": (1.0, 2.0, 10.0, 2.0)},
         ),
         "raw": Preset(
-            0.995, 1e-3,
+            0.995,
+            1e-3,
             "inputs in SI units; γ 1000 times the paper's, β the paper's",
             {"gains": _SI},
         ),
         "paper": Preset(
-            0.995, 1e-6,
+            0.995,
+            1e-6,
             "the paper's β and γ; it does not state its input scale, here 10, 10, 100, 20",
             {"gains": (10.0, 10.0, 100.0, 20.0)},
         ),
         "literal": Preset(
-            0.995, 1e-6,
+            0.995,
+            1e-6,
             "the paper's β and γ with inputs in SI units: learns only over 10⁷ s",
             {"gains": _SI},
         ),
         "best": Preset(
-            0.985, 2.5e-2,
+            0.985,
+            2.5e-2,
             "as quick, with a reward baseline, a γ that begins larger and falls, a trace a third "
             "longer, and twice the hidden units",
             {"gains": (1.0, 2.0, 10.0, 2.0)},
-            rule="baseline:time=10000", fall=1e7, hidden=(8,),
+            rule="baseline:time=10000",
+            fall=1e7,
+            hidden=(8,),
         ),
-    }  # fmt: skip
+    }
     readings = (
-        Reading("tilt", "°"), Reading("puck x", "m"), Reading("puck y", "m"),
-        Reading("thrust x", "N", steps=True), Reading("thrust y", "N", steps=True),
-    )  # fmt: skip
+        Reading("tilt", "°"),
+        Reading("puck x", "m"),
+        Reading("puck y", "m"),
+        Reading("thrust x", "N", steps=True),
+        Reading("thrust y", "N", steps=True),
+    )
     props = (
         Prop("floor", "box", "world"),
         *(Prop(f"wall {k}", "box", "world strong") for k in range(4)),
@@ -160,15 +173,35 @@ def _poses(states: Array) -> tuple[Array, Array, Array]:
     arrow, reach, gap = 0.06, 0.5, _PUCK / 2 + 0.04
     n = len(states)
     position = np.tile(
-        np.array([(0, 0, -0.03), (-middle, 0, 0.03), (middle, 0, 0.03), (0, -middle, 0.03),
-                  (0, middle, 0.03), *(((0, 0, 0.06),) * 5)]), (n, 1, 1)
-    )  # fmt: skip
+        np.array(
+            [
+                (0, 0, -0.03),
+                (-middle, 0, 0.03),
+                (middle, 0, 0.03),
+                (0, -middle, 0.03),
+                (0, middle, 0.03),
+                *(((0, 0, 0.06),) * 5),
+            ]
+        ),
+        (n, 1, 1),
+    )
     scale = np.tile(
-        np.array([(side, side, 0.04), (_WALL, edge, 0.12), (_WALL, edge, 0.12),
-                  (edge, _WALL, 0.12), (edge, _WALL, 0.12), (_PUCK, _PUCK, 0.12),
-                  (_ROD, _ROD, length), (_BOB, _BOB, _BOB), (0, arrow, arrow),
-                  (arrow, 0, arrow)]), (n, 1, 1)
-    )  # fmt: skip
+        np.array(
+            [
+                (side, side, 0.04),
+                (_WALL, edge, 0.12),
+                (_WALL, edge, 0.12),
+                (edge, _WALL, 0.12),
+                (edge, _WALL, 0.12),
+                (_PUCK, _PUCK, 0.12),
+                (_ROD, _ROD, length),
+                (_BOB, _BOB, _BOB),
+                (0, arrow, arrow),
+                (arrow, 0, arrow),
+            ]
+        ),
+        (n, 1, 1),
+    )
     rotation = np.tile(np.array([1.0, 0.0, 0.0, 0.0]), (n, len(Pendulum.props), 1))
     puck, rod, force = states[:, :2], states[:, 4:7], states[:, 10:12] / PLANT.thrust
     position[:, 5:, :2] += puck[:, None]
