@@ -1,11 +1,10 @@
-"""Recordings in rerun's files: written while a run goes on, read back, inspected and exported."""
+"""Recordings in rerun's files: written during a run, read back, inspected and exported."""
 
 import os
 
-# What goes wrong is said once and in our words; rerun, which reads this when it is imported, would
-# print lines of its log as well.
+# We report each error once, in our own text; without this, which rerun reads on import, it would
+# also print lines of its log.
 os.environ.setdefault("RUST_LOG", "off")
 
-# rerun's allocator keeps what is freed, more with each size of what passes through its threads; so
-# it gives it back.
+# Makes rerun's allocator return freed memory to the system; it would otherwise keep more and more.
 os.environ.setdefault("MIMALLOC_PURGE_DELAY", "0")

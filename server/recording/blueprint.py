@@ -1,4 +1,4 @@
-"""How a recording looks when it is opened: its views, with their titles and units.
+"""The layout of an opened recording: its views, with their titles and units.
 
 The blueprint is embedded in the file and names every tree of its schema. Left: now, in 3D and as
 maps. Middle: the latest few seconds up to the cursor, step by step. Right: the whole run.
@@ -23,22 +23,22 @@ from hebbviz.task.base import Measure, Reading, Task
 from hebbviz.topology import Projection, Topology
 
 TRAIL = 75
-"""Steps that a trail goes back."""
+"""Length of a trail in steps."""
 MOST_CURVES = 64
 SIDE_BY_SIDE = 2
-"""Projections whose maps are shown together; of more, one at a time."""
+"""Most projections whose maps are shown together; with more, one at a time."""
 LOG_GAMMA = "parameters/log10_gamma"
-"""rerun's plots have no logarithmic axis, and beside 1 a small γ cannot be told from nothing."""
+"""rerun's plots have no logarithmic axis, and a small γ beside 1 looks like zero."""
 USUAL_HEIGHT = 3.1
-"""Of a network of three layers, in scene units."""
+"""Extent of a network of three layers, in scene units."""
 WIDEST_TO_NARROWEST = 1.35
-"""A map of few columns is not so narrow that its title is cut."""
+"""Least share of a map with few columns, so that its title fits."""
 
 
 def blueprint(task: Task, topology: Topology, *, live: bool = False) -> rrb.Blueprint:
     """The page on which the recording of a run opens.
 
-    It plays from the beginning, where every step is kept; or, `live`, follows the latest data.
+    It plays from the beginning, where every step is kept; with `live`, it follows the latest data.
     """
     play = PlayState.Following if live else PlayState.Playing
     return rrb.Blueprint(
@@ -56,17 +56,17 @@ def blueprint(task: Task, topology: Topology, *, live: bool = False) -> rrb.Blue
 
 
 def timeline_of(task: Task) -> str:
-    """The timeline on which its recordings open."""
+    """The timeline on which the task's recordings open."""
     return "step" if task.dt is None else "sim_time"
 
 
 def log_curve(measure: Measure) -> str:
-    """Where log₁₀ of a logarithmic measure is written: rerun's plots have no logarithmic axis."""
+    """The entity of a logarithmic measure's log₁₀: rerun's plots have no logarithmic axis."""
     return f"learning/log10_{measure.key}"
 
 
 def curves_of(topology: Topology) -> tuple[Projection, ...]:
-    """The projections whose weights are drawn over time, each with a curve: those of few."""
+    """The projections with few enough synapses for a curve of each weight over time."""
     return tuple(p for p in topology.projections if math.prod(topology.shape(p)) <= MOST_CURVES)
 
 
@@ -100,7 +100,7 @@ def scene(task: Task, topology: Topology) -> rrb.Spatial3DView:
 
 
 def now(task: Task, topology: Topology) -> rrb.Container:
-    """Maps of weights and traces; for a single synapse, what became of the two."""
+    """Maps of weights and traces; for a single synapse, their curves."""
     if topology.synapses > 1:
         return maps(topology)
     span, window = span_of(task), up_to_cursor(task, steps_of(task))
@@ -111,7 +111,7 @@ def now(task: Task, topology: Topology) -> rrb.Container:
 
 
 def maps(topology: Topology) -> rrb.Container:
-    """Weights over traces, the projections side by side; of many, one at a time."""
+    """Weights above traces, the projections side by side; with many projections, one at a time."""
     projections = topology.projections
     rows = [
         [_map(f"/{tree}/{entity(p.name)}", f"{what} {_where(topology, p)}") for p in projections]
@@ -126,7 +126,7 @@ def maps(topology: Topology) -> rrb.Container:
 
 
 def _where(topology: Topology, projection: Projection) -> str:
-    """Which synapses, in few words: a map's title is short."""
+    """A short name for the synapses, for a map's title."""
     others = [p for p in topology.projections if p.post == projection.post]
     return f"into {projection.post}" if len(others) == 1 else projection.name
 
@@ -183,7 +183,7 @@ def _readings(
 
 
 def _in_short(names: Sequence[str]) -> list[str]:
-    """Names with their common first words said once: puck x and y."""
+    """Names with their common first words only once: puck x and y."""
     first, *others = names
     head, _, _ = first.rpartition(" ")
     return [first, *(n.removeprefix(f"{head} ") for n in others)]
@@ -200,7 +200,7 @@ def _by_unit(task: Task) -> list[tuple[str, list[Reading]]]:
 
 
 def whole_run(task: Task, topology: Topology) -> rrb.Vertical:
-    """The learning curve, rewards, rates, weights and parameters over all of the run."""
+    """The learning curve, rewards, rates, weights and parameters over the whole run."""
     several = len(topology.neuron_groups) > 1
     parameters = rrb.Horizontal(
         plot("Trace decay β", "/parameters", only=["beta"], legend=False),

@@ -1,4 +1,4 @@
-"""What a recording says of its run before its first step, and how a change is written down."""
+"""The header that describes a recording's run before its first step, and the format of changes."""
 
 from __future__ import annotations
 
@@ -31,30 +31,31 @@ from hebbviz.topology import Topology
 
 PROGRAM = "hebbviz recording"
 FORMAT = 2
-"""2 says the rule, in the header and of every keyframe; 1 knew the paper's rule alone."""
+"""Format 2 has the rule, in the header and in every keyframe; format 1 had only the paper's rule.
+"""
 TASK = "task"
-"""Under which the versions have that of the task."""
+"""The key of the task's version among the versions."""
 VERSIONS_OF = ("numpy", "numba", "pymunk", "rerun-sdk")
 
 CHANGES = {
     kind.__name__: kind for kind in (SetBeta, SetGamma, SetFall, SetRule, Freeze, GiveReward, Press)
 }
 _TYPES = {"frozen": (bool,), "control": (str,), "rule": (str,)}
-"""Of the fields of changes; of all others a number."""
+"""Types of the fields of changes; all others are numbers."""
 
 
 class BadRecording(ValueError):
-    """A file that is no recording of ours, or a damaged one; the message says which and why."""
+    """A file that is no recording of hebbviz, or a damaged one; the message says which and why."""
 
 
 @dataclass(frozen=True)
 class Header:
-    """A run as it was when the recording began.
+    """The run at the start of the recording.
 
-    `log` holds the changes made before, `edges` the totals at the windows' edges of the learning
-    curve so far, `window` their length in steps. `kept_window` is the length of the stretches of
-    which every step is kept, in steps; `budget` is in bytes a minute. `rule` is as
-    `rules.make_rule` reads it, `fall` the steps over which γ falls.
+    `log` holds the earlier changes, `edges` the totals at the windows' edges of the learning curve
+    so far, `window` their length in steps. `kept_window` is the length in steps of the windows in
+    which every step is kept; `budget` is in bytes a minute. `rule` has the form that
+    `rules.make_rule` parses, `fall` the steps over which γ falls.
     """
 
     task: str
@@ -104,9 +105,9 @@ class Header:
         return json.dumps(said)
 
     def other_now(self, task: Task) -> str:
-        """What is another here than where it was recorded, so that the run may not come out the
-        same again: the version of its task, the type of machine, else versions, else what alone
-        is left.
+        """The difference from the program that recorded the run, which may make recomputing fail:
+        the version of its task, the type of machine, other versions, or else the only remaining
+        cause.
         """
         recorded = self.versions.get(TASK, "1")  # recordings were made before tasks had versions
         if recorded != str(task.version):
@@ -115,25 +116,27 @@ class Header:
                 f"{task.version}"
             )
         if machine() != self.machine:
-            return f"it was recorded on {self.machine}, this is {machine()}"
+            return f"it was recorded on {self.machine}, this machine is {machine()}"
         old, now = self.versions, versions()
         changed = [
             f"{n} {old[n]}, now {now.get(n)}" for n in old if n != TASK and old[n] != now.get(n)
         ]
         if changed:
             return f"it was recorded with {'; '.join(changed)}"
-        return "the file of its task or of its rule must be another one than when it was recorded"
+        return "the file of its task or rule has probably changed since the recording"
 
     @classmethod
     def from_json(cls, text: str) -> Header:
-        """Raises BadRecording for another program's or a newer one, ValueError for nonsense."""
+        """Parse a header. Raises BadRecording for another program's or a newer one, ValueError for
+        invalid values.
+        """
         said = json.loads(text)
         if not isinstance(said, dict) or said.pop("program", None) != PROGRAM:
-            raise BadRecording("it is no recording of hebbviz")
+            raise BadRecording("it is not a recording of hebbviz")
         number = said.pop("format")
         if not isinstance(number, int) or number > FORMAT:
             raise BadRecording(
-                f"it is of format {number!r}, newer than this hebbviz knows ({FORMAT}): "
+                f"its format {number!r} is newer than this hebbviz can read ({FORMAT}): "
                 "update hebbviz"
             )
         if number < 2:
@@ -146,18 +149,18 @@ class Header:
 
 
 def known_rule(spec: str) -> Rule:
-    """The rule that a recording names. Raises BadRecording if it is not known here."""
+    """The rule that a recording names. Raises BadRecording if it is unknown."""
     try:
         return make_rule(spec)
     except ValueError as error:
-        raise BadRecording(f"its rule is not known here: {error}") from error
+        raise BadRecording(f"its rule is unknown: {error}") from error
 
 
 def check_recordable(rule: Rule) -> None:
-    """Raise ValueError for a rule under which a lane alone, as it is recorded, is no run."""
+    """Raise ValueError for a rule that lets lanes touch: a recording holds a single lane."""
     if rule.lanes_touch:
         raise ValueError(
-            f"a recording holds one lane, which under rule {rule.name} is no run of its own: "
+            f"a recording holds one lane, but lanes under rule {rule.name} depend on each other: "
             "record under another rule"
         )
 
@@ -180,8 +183,8 @@ def change_to_json(logged: Logged) -> dict[str, Any]:
 
 
 def change_from_json(said: Any) -> Logged:
-    """Raises ValueError if it is no change, or one of a kind or value that is not allowed, and
-    BadRecording for a rule that is not known here.
+    """Parse a change. Raises ValueError if it is invalid or of an unknown kind, and BadRecording
+    for an unknown rule.
     """
     try:
         fields = dict(said)
@@ -195,7 +198,7 @@ def change_from_json(said: Any) -> Logged:
     except (KeyError, TypeError) as error:
         raise ValueError(f"not a change of a run: {str(said)[:80]}") from error
     if type(step) is not int or step < 0:
-        raise ValueError(f"a change has a step from 0 on, got {step!r}")
+        raise ValueError(f"a change needs a step of at least 0, got {step!r}")
     return Logged(step, change)
 
 

@@ -1,4 +1,4 @@
-"""What is in a recording, in figures and in words."""
+"""A summary of a recording, as figures and as text."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MOST_CHANGES = 20
 
 
 def figures(recording: Recording) -> Figures:
-    """All that can be told without making the run again."""
+    """Everything that is known without recomputing the run."""
     header, last = recording.header, recording.moments[-1].keyframe
     steps = recording.last_step - header.step
     late = _late(recording)
@@ -62,9 +62,9 @@ def figures(recording: Recording) -> Figures:
 
 
 def describe(found: Figures) -> str:
-    """The figures, to be read."""
+    """The figures as text to read."""
     seconds = f", {found['seconds']:,.2f} s of its own time" if found["seconds"] else ""
-    whole = "whole" if found["whole"] else "cut short" if found["cut"] else "broken off"
+    whole = "complete" if found["whole"] else "truncated" if found["cut"] else "interrupted"
     lines = [
         f"{found['task']} {found['preset']}, {found['network']}, seed {found['seed']}"
         + (f", lane {found['lane']}" if found["lane"] else "")
@@ -90,7 +90,7 @@ def describe(found: Figures) -> str:
 
 def _changes(changes: list[dict[str, Any]]) -> str:
     if not changes:
-        return "nothing was changed"
+        return "no changes"
     said = [
         f"{c['kind']} {', '.join(str(v) for k, v in c.items() if k not in ('kind', 'step'))} "
         f"at {c['step']:,}"
@@ -101,7 +101,7 @@ def _changes(changes: list[dict[str, Any]]) -> str:
 
 
 def _late(recording: Recording) -> Tally:
-    """The totals of about the last fifth of the steps, as far as windows' edges tell."""
+    """The totals of about the last fifth of the steps, to the nearest window's edge."""
     edges = (*recording.header.edges, *recording.edges)
     edges = tuple(e for e in edges if e.steps >= recording.header.step) or edges[-1:]
     first = edges[0].steps + (edges[-1].steps - edges[0].steps) * 4 / 5

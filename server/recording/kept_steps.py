@@ -1,4 +1,4 @@
-"""What a recording holds of single steps, for a machine that cannot make the run again."""
+"""Single steps stored in a recording, for a machine that cannot recompute the run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Stored:
         self._path, self._topology, self.other_now = path, topology, other_now
 
     def frame(self, keyframe: Frame, step: int) -> Frame:
-        """The frame of the last keyframe, with all that is known to have been otherwise at `step`.
+        """The frame of the last keyframe, updated with all that is known at `step`.
 
         The world and the inputs stay as they were at the keyframe.
         """
@@ -49,7 +49,7 @@ class Stored:
         )
 
     def recent(self, step: int, most: int) -> Block | None:
-        """The steps up to `step` that were kept without a gap, at most so many."""
+        """The kept steps up to `step` without a gap, at most `most`."""
         kept: Array = self.steps["step"]
         end = int(np.searchsorted(kept, step, side="right"))
         if end == 0 or kept[end - 1] != step:
@@ -69,9 +69,9 @@ class Stored:
 
     @cached_property
     def steps(self) -> dict[str, NDArray[Any]]:
-        """Of every step that was kept: `step`, `reward`, `broadcast`, `fired`, `potential`.
+        """`step`, `reward`, `broadcast`, `fired` and `potential` of every step that was kept.
 
-        Numbered as in the recording: what stands at n was so after the n-th step.
+        Numbered as in the recording: index n is the state after the n-th step.
         """
         return steps_of(self._rows, self._topology)
 
@@ -97,7 +97,7 @@ class Stored:
 def steps_of(rows: dict[str, Table], topology: Topology) -> dict[str, NDArray[Any]]:
     """Rewards, spikes (n, neurons) and potentials (n, neurons) of the steps that were kept.
 
-    Of a file that was cut, the steps of which all is there: rewards are written after spikes.
+    From a truncated file, only complete steps: rewards are written after spikes.
     """
     groups = {group.name: entity(group.name) for group in topology.neuron_groups}
     names = ["/reward/raw", "/reward/broadcast", *(f"/potentials/{n}" for n in groups.values())]
@@ -124,7 +124,7 @@ def matrices_of(
     rows: dict[str, Table], topology: Topology, kinds: Sequence[str]
 ) -> tuple[NDArray[np.int64], dict[str, Array]]:
     """Steps (n,), and of each kind, weights or traces, (n, synapses) in the topology's order, in
-    float32. Of a file that was cut, those of which all is there.
+    float32. From a truncated file, only complete ones.
     """
     names = [entity(p.name) for p in topology.projections]
     tables = parallel(rows, [f"/{kind}/{name}" for kind in kinds for name in names])
@@ -140,7 +140,7 @@ def matrices_of(
 def _latest(
     rows: tuple[NDArray[np.int64], Array], step: int, since: int, otherwise: Array
 ) -> Array:
-    """The last row up to `step` if it is not before `since`."""
+    """The last row up to `step`, unless it is before `since`."""
     steps, values = rows
     at = int(np.searchsorted(steps, step, side="right")) - 1
     if at < 0 or steps[at] < since:

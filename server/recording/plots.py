@@ -9,9 +9,9 @@ import rerun.blueprint as rrb
 from hebbviz.task.base import Task
 
 WINDOW, SLOW_WINDOW = 200, 60
-"""Steps up to the cursor that the detailed plots show; fewer of a task that is played by hand."""
+"""Steps before the cursor in the detailed plots; fewer for a task under manual control."""
 ALL = rrb.TimeRange(start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite())
-"""The whole run, even while the viewer follows a run that goes on."""
+"""The whole run, even while the viewer follows a live run."""
 
 
 def plot(
@@ -37,12 +37,12 @@ def plot(
 
 
 def steps_of(task: Task) -> int:
-    """How many steps back the detailed plots go."""
+    """Number of steps that the detailed plots show."""
     return WINDOW if task.natural_speed is None else SLOW_WINDOW
 
 
 def span_of(task: Task) -> str:
-    """How far back the detailed plots go, in words."""
+    """The span of the detailed plots as text."""
     steps = steps_of(task)
     return f"latest {steps} steps" if task.dt is None else f"latest {steps * task.dt:g} s"
 

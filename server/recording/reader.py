@@ -1,4 +1,4 @@
-"""A recording read back: what it says of its run, and the run itself, ready to be made again."""
+"""Reading a recording: its description of the run, and the run itself, ready for replay."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ Array = NDArray[np.float64]
 RUN, KEYFRAMES, CHANGES = "/__properties/run", "/hebbviz/keyframe", "/hebbviz/change"
 EDGES, SUMS, END = "/hebbviz/edge", "/hebbviz/aggregate", "/hebbviz/end"
 MOST_AHEAD = 10**9
-"""Steps from the last keyframe to the last of which anything is known: they must be made again."""
+"""Most steps after the last keyframe: opening the recording recomputes them."""
 SKELETON = (RUN, KEYFRAMES, CHANGES, EDGES, SUMS, END)
 
 
 @dataclass(frozen=True)
 class Recording:
-    """All of a recording but its bulk.
+    """A recording without its bulk data.
 
-    `moments` are its keyframes, `log` the changes, `edges` the totals at the edges of the
-    learning curve's windows, `last_step` the last one of which anything is known, `ending` why
-    the recording ended, None if it was broken off; `is_cut`: a part of the file is missing.
+    `moments` are its keyframes, `log` the changes, `edges` the totals at the edges of the learning
+    curve's windows, `last_step` the last step with any data, `ending` why the recording ended, None
+    if it was interrupted; `is_cut`: a part of the file is missing.
     """
 
     path: Path
@@ -55,11 +55,11 @@ class Recording:
 
     @property
     def notice(self) -> str | None:
-        """What is to be said of a recording that is not whole."""
+        """A notice about an incomplete recording, or None."""
         if self.is_cut:
-            return f"{self.path} is cut short: it is shown up to its last whole piece"
+            return f"{self.path} is truncated: it is shown up to its last complete piece"
         if self.ending is None:
-            return f"the recording in {self.path} was broken off; it is shown as far as it goes"
+            return f"the recording in {self.path} was interrupted: it is shown up to its last step"
         return None
 
     def history(self) -> History:
@@ -75,7 +75,7 @@ class Recording:
         task: Task | None = None,
         task_name: str | None = None,
     ) -> Run:
-        """The run at its last step, with all that is needed to go back in it.
+        """The run at its last step, with everything needed to go back in it.
 
         `make_task` makes tasks by name and preset; `task` is the recorded one, by default made from
         the header. Raises BadRecording if the recording does not fit the task.
@@ -95,7 +95,7 @@ class Recording:
         return run
 
     def _go_to_end(self, learner: Learner) -> None:
-        """From the last keyframe to the last step of which anything was recorded."""
+        """Advance from the last keyframe to the last recorded step."""
         for logged in self.log[self.moments[-1].logged :]:
             learner.skip(max(0, logged.step - learner.step))
             logged.change.apply(learner)
@@ -103,10 +103,10 @@ class Recording:
 
 
 def open_recording(path: str | Path) -> Recording:
-    """Read a recording, up to its last whole piece.
+    """Read a recording, up to its last complete piece.
 
-    Raises BadRecording, with one line, for anything else or a damaged one, OSError if the file
-    cannot be read.
+    Raises BadRecording, with one line, if the file is damaged or no recording, OSError if it cannot
+    be read.
     """
     path = Path(path)
     return readable(path, lambda: _open(path))
@@ -121,9 +121,9 @@ def _open(path: Path) -> Recording:
     header = _header(tables.get(RUN), may_follow=not extent.has_end)
     moments = _moments(tables.get(KEYFRAMES))
     if not moments:
-        raise BadRecording("it was broken off before its first keyframe")
+        raise BadRecording("it was interrupted before its first keyframe")
     if not header.topology.fits_in(len(moments[-1].keyframe.network)):
-        raise BadRecording("it is damaged (its keyframes hold less than its network)")
+        raise BadRecording("it is damaged (its keyframes do not fit its network)")
     log = (*header.log, *_changes(tables.get(CHANGES)))
     if any(m.logged > len(log) for m in moments):
         raise BadRecording("it is damaged (a change is missing)")
@@ -131,7 +131,7 @@ def _open(path: Path) -> Recording:
     sums = tables.get(SUMS)
     last = max(moments[-1].step, int(sums.step[-1]) if sums else 0, *(c.step for c in log), 0)
     if last > moments[-1].step + MOST_AHEAD:
-        raise BadRecording("it is damaged (it speaks of steps far beyond its last keyframe)")
+        raise BadRecording("it is damaged (it has steps far beyond its last keyframe)")
     end = tables.get(END)
     return Recording(
         path,
@@ -146,11 +146,11 @@ def _open(path: Path) -> Recording:
 
 
 def _header(table: Table | None, *, may_follow: bool) -> Header:
-    """`may_follow`: the file has no end, so that a header may have come after what there is."""
+    """`may_follow`: the file is incomplete, so a header may be in the missing part."""
     if table is None and may_follow:
         raise BadRecording(
-            "it was cut before the piece that says what it is: nothing of it can be read, get the "
-            "whole file again"
+            "it was truncated before its header, so nothing can be read: get the complete file "
+            "again"
         )
     if table is None or "header" not in table.columns:
         raise BadRecording("it is a recording of another program, not of hebbviz")

@@ -1,7 +1,6 @@
-"""What changes the trajectory of a run, each checked when it is made.
+"""The changes that alter a run's trajectory; each is checked on construction.
 
-A change is logged with the step at which it took effect, and the log with the seed makes the run
-again.
+A change is logged with the step at which it took effect; the seed and the log reproduce the run.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ from hebbviz.rules.base import make_rule
 
 @dataclass(frozen=True)
 class Change(ABC):
-    """Carries its target, not a toggle; its words are what Undo says."""
+    """A change carries its target state, not a toggle; `words` is its text for Undo."""
 
     @abstractmethod
     def apply(self, learner: Learner) -> None:
-        """Change the learner; raises ValueError or TaskError where it cannot be."""
+        """Change the learner; raises ValueError or TaskError if that is impossible."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class SetGamma(Change):
 
 @dataclass(frozen=True)
 class SetFall(Change):
-    """Let γ fall over so many steps; infinity: let it stay."""
+    """Let γ fall over this many steps; infinity keeps it constant."""
 
     fall: float
 
@@ -66,12 +65,12 @@ class SetFall(Change):
         learner.set_fall(self.fall)
 
     def __str__(self) -> str:
-        return "γ stays" if math.isinf(self.fall) else f"γ falls over {self.fall:.6g} steps"
+        return "γ constant" if math.isinf(self.fall) else f"γ falls over {self.fall:.6g} steps"
 
 
 @dataclass(frozen=True)
 class SetRule(Change):
-    """Go on with another rule, or other parameters of it, as `rules.make_rule` reads them."""
+    """Switch to another rule or other parameters, in the form that `rules.make_rule` parses."""
 
     rule: str
 
@@ -107,7 +106,7 @@ class GiveReward(Change):
         learner.give_reward(self.reward)
 
     def __str__(self) -> str:
-        return f"reward {self.reward:+.3g} by hand"
+        return f"manual reward {self.reward:+.3g}"
 
 
 @dataclass(frozen=True)
@@ -123,8 +122,8 @@ class Press(Change):
 
 @dataclass(frozen=True)
 class Logged:
-    """A change and the step before which it took effect. `goes_on`: it goes on with the change
-    before it, as a slider that is dragged.
+    """A change and the step before which it took effect. `goes_on`: it continues the previous
+    change, as a slider that is dragged does.
     """
 
     step: int
@@ -133,9 +132,9 @@ class Logged:
 
 
 def settled(log: Sequence[Logged]) -> list[Logged]:
-    """A log in which a slider that was dragged is one change, where it settled.
+    """A log in which dragging a slider is one change, to the value where it settled.
 
-    The run needs all of them to be made again; who reads of them needs no more than these.
+    Recomputing the run needs all changes; readers need only these.
     """
     following = [*(c.goes_on for c in log[1:]), False]
     return [c for c, is_passing in zip(log, following, strict=False) if not is_passing]

@@ -1,6 +1,6 @@
-"""Windows of a run summed up until enough events came, so that each sum tells their rate.
+"""Pools of a run's windows, each with enough events to estimate their rate.
 
-A window shorter than the mean time to an event mostly sees none, and the few that see one would
+A window shorter than the mean time to an event mostly has none, and the few that have one would
 show the window's own length. The time until the k-th event, divided by k, is right on average.
 """
 
@@ -15,14 +15,14 @@ Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 ENOUGH = 5
-"""Events of a pool, at least."""
+"""Least number of events in a pool."""
 
 
 def pools(events: Array) -> Whole:
     """The pool that each window belongs to, (windows, lanes), from its number of events.
 
-    Pools follow each other, and end with the window that brings their events to `ENOUGH`; what is
-    left at the end of the run belongs to the last one.
+    Pools follow each other, and end with the window that brings their events to `ENOUGH`; the
+    remaining windows at the end of the run belong to the last one.
     """
     found = np.zeros(events.shape, dtype=np.int64)
     number, seen = np.zeros(events.shape[1], dtype=np.int64), np.zeros(events.shape[1])
@@ -36,7 +36,7 @@ def pools(events: Array) -> Whole:
 
 
 def pooled(values: Array, found: Whole) -> Array:
-    """In place of each value the sum over its pool, both (windows, lanes)."""
+    """Each value replaced by the sum over its pool, (windows, lanes)."""
     sums, lanes = np.zeros(values.shape), np.arange(values.shape[1])
     np.add.at(sums, (found, lanes), values)
     together: Array = sums[found, lanes]
@@ -44,7 +44,7 @@ def pooled(values: Array, found: Whole) -> Array:
 
 
 def pooled_curve(curve: Curve, events: Array) -> Curve:
-    """The curve with a window for each pool; `events` (windows,) were seen in its own."""
+    """The curve with a window for each pool; `events` (windows,) are those of its own windows."""
     if len(events) == 0:
         return curve
     _, first = np.unique(pools(events[:, None])[:, 0], return_index=True)
@@ -57,6 +57,8 @@ def pooled_curve(curve: Curve, events: Array) -> Curve:
 
 
 def latest(events: Array) -> int:
-    """How many of the windows at the end hold `ENOUGH` events: all of them if they never do."""
+    """The number of last windows that hold `ENOUGH` events: all windows if there are too few
+    events.
+    """
     seen = np.cumsum(events[::-1])
     return min(int(np.searchsorted(seen, ENOUGH)) + 1, len(events))

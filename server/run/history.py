@@ -1,4 +1,4 @@
-"""The whole run in a bounded number of windows, each a sum over every one of its steps, by lane."""
+"""The whole run in a bounded number of windows, each a sum over all of its steps, by lane."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ Array = NDArray[np.float64]
 
 CAPACITY = 512
 OBJECTS_BYTES = 250
-"""Of totals beside their numbers."""
+"""Memory overhead of totals besides their numbers, in bytes."""
 
 
 def usual_window(task: Task) -> int:
-    """Steps of a window that sums up a task: 10 s of its time, or 1 000 where it has none."""
+    """Steps of a task's usual window: 10 s of simulated time, or 1 000 without a time step."""
     return round(10.0 / task.dt) if task.dt else 1000
 
 
@@ -36,7 +36,7 @@ class Totals:
 
     @classmethod
     def of_one(cls, tally: Tally) -> Totals:
-        """Of a run of one lane."""
+        """Totals of a run of one lane."""
         return cls(tally.steps, np.array([[tally.reward], [tally.broadcast], [tally.ended]]))
 
     def lane(self, lane: int) -> Tally:
@@ -79,7 +79,7 @@ class Curves:
         return Curve(self.window, steps[1:], np.diff(steps), *np.diff(sums, axis=0).T)
 
     def coarser(self, most: int) -> Curves:
-        """At most so many windows: while there are more, two become one."""
+        """At most `most` windows: while there are more, pairs are merged."""
         window, edges = self.window, self.edges
         while len(edges) > most + 1:
             window *= 2
@@ -88,7 +88,7 @@ class Curves:
 
 
 class History:
-    """Totals at the edges of equal windows; when there are too many, two become one."""
+    """Totals at the edges of equal windows; when there are too many, pairs are merged."""
 
     def __init__(self, window: int, start: Totals) -> None:
         """Windows of at least `window` steps, from the totals at the `start`."""
@@ -100,7 +100,7 @@ class History:
         return self.window - step % self.window
 
     def add(self, total: Totals) -> bool:
-        """Note the totals since the start; kept, and True, where the step is a window's edge."""
+        """Note the totals since the start; keeps them and returns True at a window's edge."""
         if total.steps % self.window or total.steps <= self._edges[-1].steps:
             return False
         self._edges.append(total)
@@ -111,7 +111,7 @@ class History:
         return True
 
     def edges(self, lane: int = 0) -> tuple[Tally, ...]:
-        """The totals of a lane at the edges, the first those it began with."""
+        """The totals of a lane at the edges, starting with the initial ones."""
         return tuple(t.lane(lane) for t in self._edges)
 
     @property
@@ -123,13 +123,13 @@ class History:
         return History.of(self.window, self._edges)
 
     def until(self, step: int) -> History:
-        """A copy without what came after a step."""
+        """A copy that ends at a step."""
         first, *rest = self._edges
         return History.of(self.window, [first, *(t for t in rest if t.steps <= step)])
 
     @classmethod
     def of(cls, window: int, edges: Sequence[Totals]) -> History:
-        """As it was with these `edges`."""
+        """The history with these `edges`."""
         made = cls(window, edges[0])
         made._edges = list(edges)
         return made

@@ -1,4 +1,4 @@
-"""The moments of a run from which any of its steps can be made again in a fraction of a second."""
+"""Keyframes of a run, from which any of its steps can be recomputed in a fraction of a second."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from hebbviz.learner.frames import Keyframe
 
 MOST_BYTES = 128_000_000
-"""Of moments in memory; with more, every second one goes."""
+"""Limit of keyframes in memory; beyond it, every second one is dropped."""
 OBJECTS_BYTES = 900
-"""Of a moment beside its numbers: of a small network they are most of it."""
+"""Overhead of a keyframe in bytes, which is most of it for a small network."""
 COMPUTED_SECONDS = 0.1
-"""Time of computing from one moment to the next, so that each is soon reached."""
+"""Computing time between keyframes, so that every step is reached soon."""
 RESTED_SECONDS = 5.0
-"""A slow run has a moment at least this often."""
+"""A slow run has a keyframe at least this often."""
 BYTES_PER_SECOND = 150_000
-"""Moments of large networks are further apart, so that they take no more than this."""
+"""Keyframes of large networks are further apart, to stay below this rate in bytes."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Moment:
     logged: int
 
     def lane(self, lane: int) -> Moment:
-        """The same moment of one lane alone."""
+        """The same keyframe for one lane alone."""
         return Moment(self.keyframe.lane(lane), self.logged)
 
     @property
@@ -44,15 +44,15 @@ class Moment:
 
     @property
     def lane_size(self) -> int:
-        """Bytes of one lane of it, which is what a recording takes."""
+        """Bytes of one lane, which is what a recording stores."""
         return self.size // int(self.keyframe.network.shape[1])
 
 
 class Tape:
-    """Moments in the order of their steps, the first and the last one always among them.
+    """A store of keyframes in the order of their steps; it always has the first and the last one.
 
-    Where they would take more than `most_bytes`, every second one goes, and from then on one in
-    2, 4, 8 … that are added stays.
+    If they take more than `most_bytes`, every second one is dropped, and from then on only one in
+    2, 4, 8 … added ones is kept.
     """
 
     def __init__(
@@ -62,11 +62,11 @@ class Tape:
         self._most, self._every, self._after_kept = most_bytes, every, 0
 
     def add(self, moment: Moment) -> None:
-        """Append a moment; one of the last step or before it is already known."""
+        """Append a keyframe; one at or before the last step is ignored."""
         if self._moments and moment.step <= self._moments[-1].step:
             return
         if self._after_kept:
-            self._moments.pop()  # it was there as the last one only
+            self._moments.pop()  # kept only as the last one
         self._moments.append(moment)
         self._after_kept = (self._after_kept + 1) % self._every
         if self._most is not None and self.size > self._most:
@@ -74,23 +74,23 @@ class Tape:
             self._every, self._after_kept = 2 * self._every, 1
 
     def before(self, step: int) -> Moment | None:
-        """The last moment at or before a step."""
+        """The last keyframe at or before a step."""
         at = bisect_right(self._moments, step, key=lambda m: m.step)
         return self._moments[at - 1] if at else None
 
     def after(self, step: int) -> Moment | None:
-        """The first moment after a step."""
+        """The first keyframe after a step."""
         at = bisect_right(self._moments, step, key=lambda m: m.step)
         return self._moments[at] if at < len(self._moments) else None
 
     def until(self, step: int) -> Tape:
-        """A copy without what came after a step."""
+        """A copy that ends at a step."""
         kept = [m for m in self._moments if m.step <= step]
         return Tape(kept, most_bytes=self._most, every=self._every)
 
     @property
     def first(self) -> int:
-        """The step from which on the run can be made again."""
+        """The first step from which the run can be recomputed."""
         return self._moments[0].step if self._moments else 0
 
     @property
@@ -103,13 +103,15 @@ class Tape:
 
 
 class Pace:
-    """Says when the next moment of a run is due."""
+    """Decides when the next keyframe of a run is due."""
 
     def __init__(self) -> None:
         self._computed = self._rested = 0.0
 
     def is_due(self, computed: float, passed: float, size: int) -> bool:
-        """After so many more seconds of computing, and of time; a moment takes `size` bytes."""
+        """Whether a keyframe of `size` bytes is due; arguments are further seconds of computing and
+        of time.
+        """
         self._computed += computed
         self._rested += passed
         enough = self._computed >= COMPUTED_SECONDS or self._rested >= RESTED_SECONDS

@@ -1,4 +1,4 @@
-"""What many lanes did, as a line in the middle of them and a band around it."""
+"""Results of many lanes as a middle line and a band around it."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Spread:
     """At steps `x`: the `middle` of all lanes and the band from `low` to `high`, (n,) each.
 
     Mean and mean ± standard deviation; of a time to an event, or where the measure is logarithmic,
-    median and quartiles. A lane in which the measure's event was not seen counts as longer than all
-    others: infinite.
+    median and quartiles. A lane without the measure's event counts as infinite, longer than all
+    others.
     """
 
     x: Array
@@ -31,7 +31,7 @@ class Spread:
 
     @classmethod
     def of(cls, x: Array, values: Array, measure: Measure) -> Spread:
-        """Of `values` (n, lanes)."""
+        """The spread of `values` (n, lanes)."""
         if goes_by_rank(measure):
             low, middle, high = quantiles(values, (0.25, 0.5, 0.75))
         else:
@@ -41,17 +41,17 @@ class Spread:
 
 
 def middle_of(values: Array, measure: Measure) -> float:
-    """The middle of lanes (lanes,), as `Spread` has it."""
+    """The middle of lanes (lanes,), as in `Spread`."""
     return float(median(values) if goes_by_rank(measure) else values.mean())
 
 
 def goes_by_rank(measure: Measure) -> bool:
-    """Whether lanes are told by their median: their mean says little, or is infinite."""
+    """Whether lanes are summarized by their median: their mean says little, or is infinite."""
     return measure.logarithmic or bool(measure.event)
 
 
 def names(measure: Measure) -> tuple[str, str]:
-    """What the middle and the band are."""
+    """Names of the middle and of the band."""
     if goes_by_rank(measure):
         return "median", "quartiles"
     return "mean", "± standard deviation"
@@ -82,7 +82,7 @@ class Scores:
         return Spread.of(end, self.of(curves), self._task.measure)
 
     def _score(self, start: Totals, end: Totals) -> Array:
-        """Of one window: value, events and their time, (lanes, 3)."""
+        """Value, events and their time in one window, (lanes, 3)."""
         steps = end.steps - start.steps
         scores = [self._task.score(Tally(steps, *s)) for s in (end.sums - start.sums).T.tolist()]
         return np.array([(s.value, s.events or 0, s.time) for s in scores])

@@ -1,7 +1,7 @@
 """A run: a learner, the log of its changes, its history, and the way back.
 
-Nothing here knows of threads or clocks. From a moment on the tape and the log, any later step can
-be made again. Followers are told everything, and may have the run's stretches cut to their taste.
+Nothing here knows threads or clocks. From a keyframe and the log, any later step can be recomputed.
+Followers receive everything, and can limit the length of the run's chunks.
 """
 
 from __future__ import annotations
@@ -22,52 +22,53 @@ from hebbviz.task.base import Tally, Task
 
 MOST_UNDOS = 100
 MOST_UNDO_BYTES = 256_000_000
-"""Of the moments to go back to, and the tapes and histories of former runs; with many lanes there
-are fewer.
+"""Limit of undo points in bytes, with the keyframes and histories of former runs; many lanes leave
+room for fewer.
 """
 
 Switch = tuple[str, bool]
 
 
 class Follower:
-    """What is told of a run as it goes on, such as a recorder; each of these may be left out.
+    """An observer of a run, such as a recorder; every method is optional.
 
-    Blocks, frames and edges are those of the watched lane; where another is chosen, that is a leap.
+    Blocks, frames and edges are those of the watched lane; choosing another lane is a
+    discontinuity.
     """
 
     def plan(self, run: Run) -> Plan:
-        """Until which step to run at most, and whether every step until there is to be told."""
+        """The last step to run to, and whether the follower needs every step until there."""
         return Plan(run.learner.step + MOST_APART, keep=False, every=0)
 
     def block(self, run: Run, block: Block) -> None:
-        """Steps that were just made."""
+        """Called with the steps that were just made."""
 
     def frame(self, run: Run, frame: Frame) -> None:
-        """The run now, and the sums since the frame before."""
+        """Called with the run now, and the sums since the previous frame."""
 
     def edge(self, run: Run, total: Tally) -> None:
-        """The totals at the edge of a window of the history."""
+        """Called with the totals at the edge of a window of the history."""
 
     def change(self, run: Run, logged: Logged) -> None:
-        """A change that was just made."""
+        """Called with a change that was just made."""
 
     def keyframe(self, run: Run, moment: Moment) -> None:
-        """A moment that was put on the tape."""
+        """Called with a keyframe that was just stored."""
 
     def leap(self, run: Run, words: str) -> None:
-        """The run is about to go on from another moment, or as another run."""
+        """Called before the run continues from another step, or as another run."""
 
 
 class Stored(Protocol):
-    """What was stored of the steps of a run, besides its keyframes.
+    """Stored steps of a run, besides its keyframes.
 
-    `other_now` is what is another here than where it was recorded, in words.
+    `other_now` says how this program differs from the one that recorded the run.
     """
 
     other_now: str
 
     def frame(self, keyframe: Frame, step: int) -> Frame:
-        """The frame of the last keyframe, with all that is known to have been otherwise."""
+        """The frame of the last keyframe, updated with all that is known at `step`."""
 
     def recent(self, step: int, most: int) -> Block | None:
         """The steps up to `step` that are known without a gap."""
@@ -75,9 +76,9 @@ class Stored(Protocol):
 
 @dataclass(frozen=True)
 class UndoPoint:
-    """All that a change may alter, and what the change was.
+    """Everything that a change can alter, and the text of the change.
 
-    The points of one run share its log, of which each means what was logged before its moment.
+    The points of one run share its log; each refers to the entries before its keyframe.
     """
 
     learner: Learner
@@ -92,9 +93,9 @@ class UndoPoint:
 
 
 class Run:
-    """A learner with its log, history and undo; `task_name` is what the user called the task.
+    """A learner with its log, history and undo; `task_name` is the user's name for the task.
 
-    `stored` is what a file holds of a run that was read from one.
+    `stored` is the data of a run that was read from a file.
     """
 
     stored: Stored | None = None
@@ -111,7 +112,7 @@ class Run:
         self._undo: list[UndoPoint] = []
 
     def advance(self, steps: int) -> Block:
-        """Run at most `steps` steps, no further than the edge of the history's window.
+        """Run at most `steps` steps, up to the edge of the history's window.
 
         Raises TaskError if the task fails, with the learner as `Learner.advance` leaves it.
         """
@@ -127,22 +128,22 @@ class Run:
         return block
 
     def frame(self) -> Frame:
-        """The learner's frame, shown to the followers too."""
+        """The learner's frame, which the followers receive too."""
         frame = self.learner.frame()
         for follower in self.followers:
             follower.frame(self, frame)
         return frame
 
     def keep(self) -> None:
-        """Put this moment on the tape."""
+        """Store a keyframe of the current step."""
         moment = self.moment()
         self.tape.add(moment)
         for follower in self.followers:
             follower.keyframe(self, moment)
 
     def change(self, change: Change, *, undoable: bool = True, goes_on: bool = False) -> None:
-        """Make a change now and log it. Not undoable: what was done before it is undone with it.
-        One that `goes_on` with the change before it takes its place where that is undone.
+        """Make a change now and log it. If it is not undoable, undoing the previous change undoes
+        it too. If it `goes_on` with the previous change, one undo reverts both.
         """
         undoable = undoable and not goes_on
         if undoable:
@@ -150,7 +151,7 @@ class Run:
         try:
             change.apply(self.learner)
         except Exception:
-            if undoable:  # nothing has happened that could be undone
+            if undoable:  # a failed change leaves nothing to undo
                 self._undo.pop()
             raise
         self.log.append(Logged(self.learner.step, change, goes_on))
@@ -162,8 +163,8 @@ class Run:
     def reset(
         self, *, seed: int | None = None, lanes: int | None = None, switch: Switch | None = None
     ) -> None:
-        """The same task and network from step 0, with the β, γ and rule that are set, and the
-        task's switches, of which one may be set here.
+        """Restart the same task and network from step 0, with the current β, γ, rule and switches;
+        `switch` sets one of the switches.
         """
         task = self.learner.task if switch is None else self.made_again(switch)
         fresh = self.restarted(task, seed=seed, lanes=lanes)
@@ -176,7 +177,7 @@ class Run:
     def choose(
         self, task: str, preset: str | None = None, hidden: tuple[int, ...] | None = None
     ) -> None:
-        """Another task, preset or network, with the preset's β, γ and rule."""
+        """Switch to another task, preset or network, with the preset's β, γ and rule."""
         fresh = self.chosen(task, preset, hidden)
         _look_at_the_same(fresh, self.learner)
         sizes = "" if hidden is None else f", hidden {','.join(map(str, hidden))}"
@@ -185,7 +186,7 @@ class Run:
         self._begin(fresh, task, None)
 
     def undo(self) -> str | None:
-        """Go back to the moment before the last change; says which, or None if there is none."""
+        """Go back to before the last change; returns its text, or None if there is none."""
         if not self._undo:
             return None
         point = self._undo.pop()
@@ -200,22 +201,24 @@ class Run:
         return point.words
 
     def take_over(self, replay: Replay) -> None:
-        """Go on from where a replay of this run is, and forget what came after; can be undone."""
+        """Continue from the step of a replay of this run, and drop later steps; can be undone."""
         moment = replay.moment()
         self._remember(f"taking over at step {moment.step:,}")
-        self._leap(f"the run goes on from step {moment.step:,}")
+        self._leap(f"the run continues from step {moment.step:,}")
         self.learner.restore(moment.keyframe)
         self.log = self.log[: moment.logged]
         self.history, self.tape = self.history.until(moment.step), self.tape.until(moment.step)
         self.stored = None
 
     def look_at(self, lane: int) -> None:
-        """Show another lane; the run goes on as it is. Raises ValueError if there is none such."""
+        """Show another lane; the run itself does not change. Raises ValueError if it does not
+        exist.
+        """
         learner = self.learner
         check_lane(lane, learner.lanes)
         if lane != learner.watch:
-            self.frame()  # the sums so far are of the lane before
-            self._leap(f"lane {lane} was chosen to be watched")
+            self.frame()  # the sums so far belong to the previous lane
+            self._leap(f"lane {lane} was selected")
             learner.look_at(lane)
 
     def moment(self) -> Moment:
@@ -223,11 +226,11 @@ class Run:
 
     @property
     def moment_size(self) -> int:
-        """Bytes of a moment, about."""
+        """Approximate size of a keyframe in bytes."""
         return self.learner.nbytes
 
     def replay(self, moment: Moment, until: Moment | None = None) -> Replay:
-        """Make the run again from a moment of it, with no change that came after `until`."""
+        """Recompute the run from a keyframe, without the changes after `until`."""
         return Replay(self, moment, until)
 
     def become(
@@ -239,8 +242,8 @@ class Run:
         tape: Tape | None,
         words: str,
     ) -> None:
-        """Go on with another learner of the same making; can be undone. With no tape its past
-        cannot be made again.
+        """Continue with another learner of the same settings; can be undone. Without a tape its
+        past cannot be recomputed.
         """
         self._remember(words)
         self._leap(words)
@@ -270,8 +273,8 @@ class Run:
             del self._undo[0]
 
     def _remembers_too_much(self) -> bool:
-        """Whether there are too many points to go back to, or they with what they keep of former
-        runs are too large; the tape that is being written is not theirs.
+        """Whether there are too many undo points, or they and the data that they keep of former
+        runs are too large; the current keyframe store does not count.
         """
         tapes = {id(p.tape): p.tape.size for p in self._undo if p.tape is not self.tape}
         histories = {id(p.log): p.history.size for p in self._undo if p.log is not self.log}
@@ -280,8 +283,8 @@ class Run:
         return len(self._undo) > MOST_UNDOS or size > MOST_UNDO_BYTES
 
     def chosen(self, name: str, preset: str | None, hidden: tuple[int, ...] | None) -> Learner:
-        """What a choice begins with: as many lanes as there are, but another task begins with one,
-        or as many as its rule needs.
+        """The learner that a choice starts with: it keeps the number of lanes, but another task
+        starts with one lane, or as many as its rule needs.
         """
         task = self.make_task(name, preset)
         least = make_rule(task.preset.rule).least_lanes
@@ -289,7 +292,7 @@ class Run:
         return Learner(task, hidden=hidden, seed=self.learner.seed, lanes=lanes)
 
     def made_again(self, switch: Switch | None = None) -> Task:
-        """Another object of the task, with one of its switches set if that is asked for."""
+        """A new object of the task, optionally with one of its switches set."""
         task = self.learner.task
         setting = task.preset_name if switch is None else task.switched(*switch)
         return self.make_task(self.task_name, setting)
@@ -297,7 +300,7 @@ class Run:
     def restarted(
         self, task: Task, *, seed: int | None = None, lanes: int | None = None
     ) -> Learner:
-        """What a reset begins with."""
+        """The learner that a reset starts with."""
         old = self.learner
         settings = replace(
             old.settings,
@@ -323,7 +326,7 @@ class Run:
 
 
 class Replay:
-    """A second learner that makes a stretch of a run again, changes included."""
+    """A second learner that recomputes a part of a run, changes included."""
 
     def __init__(self, run: Run, moment: Moment, until: Moment | None = None) -> None:
         self._of, self._log = run.learner, run.log
@@ -332,24 +335,24 @@ class Replay:
         self.learner.restore(moment.keyframe)
 
     def is_of(self, run: Run) -> bool:
-        """Whether the run still is the one that is made again: no reset, no undo since."""
+        """Whether the run is still the one being recomputed: no reset or undo since."""
         return self._of is run.learner and self._log is run.log
 
     def advance(self, steps: int, *, closely: bool = False) -> Block:
-        """Run at most `steps` steps, up to the next change, which is made first if it is due."""
+        """Run at most `steps` steps, up to the next change; a change that is due is made first."""
         return self.learner.advance(self._until_change(steps), closely=closely)
 
     def go_to(self, step: int) -> None:
-        """Skip to a step ahead, or to the end of the run if that is before it."""
+        """Skip forward to a step, or to the end of the run if that comes first."""
         while (steps := self._until_change(step - self.learner.step)) > 0:
             self.learner.skip(steps)
 
     def moment(self) -> Moment:
-        """Where it is now, as a moment of the run."""
+        """A keyframe of the current step."""
         return Moment(self.learner.keyframe(), self._next)
 
     def _until_change(self, steps: int) -> int:
-        """Make the changes that are due; how many of `steps` there are until the next one."""
+        """Make the changes that are due; returns the number of `steps` until the next change."""
         log, made = self._log, len(self._log) if self._until is None else self._until.logged
         while self._next < made and log[self._next].step <= self.learner.step:
             log[self._next].change.apply(self.learner)
@@ -360,7 +363,7 @@ class Replay:
 
 
 def reset_words(seed: int | None, lanes: int | None, switch: Switch | None) -> str:
-    """What a reset is called."""
+    """The text for a reset."""
     if switch is not None:
         name, on = switch
         return f"{name} {'on' if on else 'off'}"
@@ -372,17 +375,17 @@ def reset_words(seed: int | None, lanes: int | None, switch: Switch | None) -> s
 def _new_history(learner: Learner) -> History:
     task = learner.task
     window, speed = usual_window(task), task.natural_speed
-    if speed is not None:  # each step of a task that opens slowly, else a tenth of a second
+    if speed is not None:  # each step of a task that starts slowly, otherwise a tenth of a second
         window = min(window, max(1, round(speed / 10.0)))
     return History(window, Totals.of(learner))
 
 
 def _look_at_the_same(learner: Learner, before: Learner) -> None:
-    """Show the lane that was watched before, if there is such a one."""
+    """Show the lane that was watched before, if it exists."""
     if before.watch < learner.lanes:
         learner.look_at(before.watch)
 
 
 def _new_tape(learner: Learner, logged: int = 0) -> Tape:
-    """A tape with the learner's first moment, bounded in memory."""
+    """A keyframe store with the learner's first keyframe, bounded in memory."""
     return Tape([Moment(learner.keyframe(), logged)], most_bytes=MOST_BYTES)

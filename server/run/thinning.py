@@ -1,8 +1,8 @@
-"""Which steps of a run are kept one by one: a budget in bytes a minute decides.
+"""Thinning: a budget in bytes per minute decides which steps of a run are kept one by one.
 
-A plain stride would alias the spikes. So stretches of every step are kept, at regular intervals:
-the run is cut into windows of equal length, and of these every 1st, 2nd, 4th, 8th … is kept. Sums
-over all steps, keyframes and changes are always kept, whatever they cost.
+A plain stride would alias the spikes. So whole windows of steps are kept, at regular intervals: the
+run is cut into windows of equal length, and every 1st, 2nd, 4th, 8th … window is kept. Sums over
+all steps, keyframes and changes are always kept, whatever they cost.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ DETAILS = (FULL, LIGHT)
 DEFAULT_BUDGET = 40_000_000
 LEAST_BUDGET, MOST_BUDGET = 100_000, 10**12
 SAVED_MINUTES = 1.0
-"""What is not used is saved up to so many minutes' worth, and half of it may be used at once."""
+"""Unused budget accumulates up to this many minutes' worth; half of it can be used at once."""
 WINDOWS_SHARE = 0.5
-"""Of the budget; keyframes and weights have a quarter each at most."""
+"""Share of the budget: keyframes and weights get at most a quarter each."""
 SPEED_SECONDS = 1.0
 MOST_APART = 2**30
 
 
 def rule(window: int, budget: int, detail: str) -> str:
-    """The rule in a sentence."""
+    """The thinning rule in a sentence."""
     always = "sums over all steps, keyframes and changes are all kept"
     if detail == LIGHT:
         return f"no single steps are kept (--detail light); {always}"
     return (
-        f"all steps are kept while that takes less than {words(budget)} a minute; beyond that, "
+        f"all steps are kept while that takes less than {words(budget)} per minute; beyond that, "
         f"windows of {window:,} steps at regular intervals, and {always}"
     )
 
@@ -58,7 +58,7 @@ def parse_budget(text: str) -> int:
 
 @dataclass(frozen=True)
 class Plan:
-    """What to do until the step `until`: keep every step or not, one window of `every`."""
+    """The plan until the step `until`: whether to keep every step, as one window of `every`."""
 
     until: int
     keep: bool
@@ -66,7 +66,7 @@ class Plan:
 
 
 class Thinning:
-    """Knows what was earned and spent; `plan` decides, window by window."""
+    """Accounts for the budget; `plan` decides, window by window."""
 
     def __init__(self, window: int, budget: int, detail: str, now: float) -> None:
         self.window, self.every = window, 1
@@ -81,11 +81,11 @@ class Thinning:
         self._saved -= size
 
     def affords(self, size: float, per_second: float) -> bool:
-        """Whether a quarter of the budget bears something of `size` so often."""
+        """Whether a quarter of the budget covers something of `size` bytes at this rate."""
         return not self._light and size * per_second <= self._per_second / 4
 
     def plan(self, step: int, step_size: float, now: float) -> Plan:
-        """What to do from this step on, if a step that is kept takes `step_size` bytes."""
+        """The plan from this step on, if a kept step takes `step_size` bytes."""
         self._earn(now)
         if self._light:
             return Plan(step + MOST_APART, keep=False, every=0)
@@ -97,7 +97,7 @@ class Thinning:
         return Plan(following * self.window, keep, self.every)
 
     def _interval(self, step_size: float) -> int:
-        """One window in how many can be afforded: a power of two that rather stays as it is."""
+        """The interval between kept windows: a power of two, changed reluctantly."""
         if self._saved > self._most * (0.5 if self.every == 1 else 0.75):
             return 1
         share = max(0.05, min(1.0, 2.0 * self._saved / self._most))
@@ -112,7 +112,7 @@ class Thinning:
         self._saved, self._earned_at = min(self._most, self._saved + earned), now
 
     def note_speed(self, step: int, now: float) -> None:
-        """The run is at a step; to be told often."""
+        """Note the run's step; call this often."""
         speeds = self._speeds
         if len(speeds) < 2 or now - speeds[-1][0] > SPEED_SECONDS / 50:
             speeds.append((now, step))
@@ -120,7 +120,7 @@ class Thinning:
             speeds.popleft()
 
     def speed(self) -> float:
-        """Steps a second, over the last second or so; infinite while that is not known."""
+        """Steps per second over about the last second; infinite while unknown."""
         if len(self._speeds) < 2:
             return math.inf
         (first, start), (last, end) = self._speeds[0], self._speeds[-1]

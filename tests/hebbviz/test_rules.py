@@ -278,7 +278,7 @@ def test_lanes_touch_each_other_whatever_the_least_of_them(monkeypatch):
     options = {"rule": "among"}
     plan = Plan(task="lamps", lanes=60, segments=1, segment_steps=40, options=options)
     assert [(t.first_lane, t.lanes) for t in _completed(plan, [], 5)] == [(0, 60)]
-    with pytest.raises(ValueError, match="under rule among is no run of its own"):
+    with pytest.raises(ValueError, match="lanes under rule among depend on each other"):
         check_recordable(Among())
 
 

@@ -60,7 +60,7 @@ def test_inspect_says_it_in_words_and_as_json(
     assert found["whole"] is True
     assert main(["inspect", str(folder / "pole.rrd")]) == 0
     said = capsys.readouterr().out
-    words = ("pendulum baseline", "seed 5", "3,000", "60.00 s", "whole")
+    words = ("pendulum baseline", "seed 5", "3,000", "60.00 s", "complete")
     assert all(word in said for word in words)
 
 
@@ -121,7 +121,7 @@ def test_what_is_another_than_when_it_was_recorded_is_told(
     (tmp_path / "mine.py").write_text(text.replace("return state[1]", "return 2 * state[1]"))
     capsys.readouterr()
     for name, value, told in (
-        (None, None, "the file of its task or of its rule must be another one"),
+        (None, None, "the file of its task or rule has probably changed"),
         ("versions", dict, "it was recorded with hebbviz "),
         ("machine", lambda: "Plan9 vax", "this is Plan9 vax"),
     ):

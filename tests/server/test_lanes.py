@@ -369,7 +369,7 @@ def test_the_watched_lane_is_recorded_as_the_run_that_it_is(tmp_path: Path) -> N
     go_on(run, watched={1600: 4})
     recorder.close(run)
     first, second = (open_recording(tmp_path / name) for name in ("run.rrd", "run-2.rrd"))
-    assert first.ending == "lane 4 was chosen to be watched"
+    assert first.ending == "lane 4 was selected"
     assert [r.header.first_lane for r in (first, second)] == [1, 4]
     assert (first.last_step, second.header.step, second.last_step) == (1600, 1600, STEPS)
     back = second.run(make_task, make_task("sonar"))

@@ -297,7 +297,7 @@ def test_a_file_that_is_cut_is_read_up_to_its_last_whole_piece(
     assert len(opened) > 40
     assert found[-len(opened) :] == opened, "of a longer piece less can be read"
     for why in found[: -len(opened)]:
-        assert re.search("cut before the piece that says|before its first keyframe", str(why))
+        assert re.search("truncated before its header|before its first keyframe", str(why))
     for end, part in zip(ends[-len(opened) :], opened, strict=True):
         assert part.notice
         assert is_a_beginning_of(part, whole), end
@@ -364,12 +364,12 @@ NO_RECORDINGS = {
     "garbage": "it is no rerun file",
     "text": "it is no rerun file",
     "learner": "it is no rerun file",
-    "beginning": "it was cut before the piece that says what it is",
+    "beginning": "it was truncated before its header",
     "folder": "is a directory",
     "missing": "no such file",
     "other": "it is a recording of another program, not of hebbviz",
     "tampered": "its keyframe at step 700 was changed: its checksum is wrong",
-    "newer": "newer than this hebbviz knows",
+    "newer": "newer than this hebbviz can read",
     "flipped": "it is damaged",
 }
 
@@ -420,7 +420,7 @@ def test_what_is_damaged_is_said_by_a_program_in_one_line(bad: Path, whole: Reco
             cwd=ROOT, capture_output=True, text=True, check=False,
         )  # fmt: skip
         assert (done.returncode, done.stderr.count("\n")) == (code, lines), done.stderr
-    assert ", cut short" in done.stdout
+    assert ", truncated" in done.stdout
 
 
 # Full disks
@@ -714,7 +714,7 @@ def test_a_leap_ends_one_file_whole_and_begins_another(tmp_path: Path) -> None:
     leap(lambda: run.reset(seed=7), "the run was reset")
     replay = run.replay(run.tape.before(0))  # type: ignore[arg-type]
     replay.go_to(100)
-    leap(lambda: run.take_over(replay), "the run goes on from step 100")
+    leap(lambda: run.take_over(replay), "the run continues from step 100")
     expected.append((run.learner.seed, run.learner.step, "it was stopped"))
     recordings.close()
     assert not notices
