@@ -62,7 +62,7 @@ def add(commands: Any) -> None:
     train.add_argument(
         "--save",
         metavar="FILE",
-        help="save the learner (.npz) for --load; a file is written over only if it was loaded",
+        help="save the learner (.npz) for --load; an existing file is overwritten only if it was loaded",
     )
     train.add_argument("--json", action="store_true", help="print the figures as one line of JSON")
     train.set_defaults(run=run)
@@ -169,7 +169,7 @@ def _check_save(args: argparse.Namespace) -> None:
     is_loaded = args.load is not None and saved_file(args.load).resolve() == target.resolve()
     if target.exists() and not is_loaded:
         raise InputError(
-            f"{target} exists already and is not written over: name another file for --save, or "
+            f"{target} exists already and is not overwritten: name another file for --save, or "
             f"continue it with --load {name}"
         )
     check_writable(target.parent)

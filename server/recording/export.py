@@ -1,4 +1,4 @@
-"""A recording as npz and CSV: its timelines as they were recorded, or every step made again."""
+"""A recording as npz and CSV: its timelines as recorded, or every step recomputed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Array = NDArray[Any]
 Columns = dict[str, Array]
 """By name: (n,), or (n, k) with k columns in a CSV file."""
 Names = dict[str, Sequence[str]]
-"""What the columns of (n, k) are called; by default they are numbered from 1."""
+"""Names of the columns of (n, k); by default they are numbered from 1."""
 
 MOST_BYTES = 2_000_000_000
 MOST_CSV_COLUMNS = 2_000
@@ -73,18 +73,17 @@ def export_timelines(recording: Recording, folder: Path) -> list[Path]:
 def export_steps(
     recording: Recording, folder: Path, first: int, end: int, task: Task
 ) -> list[Path]:
-    """Make the steps from `first` on and before `end` again, and write all of each, in npz and CSV,
-    and what each column is.
+    """Recompute the steps from `first` up to, not including, `end`, and write everything of each,
+    as npz and CSV, with a description of each column.
 
-    What stands at step n is what was so after the n-th step. Raises ValueError if the recording
-    does not hold these steps or they are too many, BadRecording if the recorded run does
-    not come out the same again.
+    Row n is the state after the n-th step. Raises ValueError if the recording does not hold these
+    steps or they are too many, BadRecording if recomputing gives a different result.
     """
     header = recording.header
     low = header.step + 1
     if not low <= first < end <= recording.last_step + 1:
         raise ValueError(
-            f"the recording holds steps {low}:{recording.last_step + 1}, asked for {first}:{end}"
+            f"the recording holds steps {low}:{recording.last_step + 1}, got {first}:{end}"
         )
     run = recording.run(make_task, task)
     moment = run.tape.before(first - 1)
@@ -93,7 +92,7 @@ def export_steps(
     size = 2 * t.synapses + 2 * t.neurons + t.inputs + 2 * len(t.projections) + numbers + 4
     if 8 * size * (end - first) > MOST_BYTES:
         gigabytes = 8e-9 * size * (end - first)
-        raise ValueError(f"that takes {gigabytes:.1f} GB: ask for fewer steps at a time")
+        raise ValueError(f"that takes {gigabytes:.1f} GB: request fewer steps at a time")
     replay = run.replay(moment)
     replay.go_to(first - 1)
     columns = _each_step(replay, end - 1)
@@ -112,24 +111,24 @@ def export_steps(
 
 
 _EVERY_STEP = """\
-Each row is one step. What stands at step n was so after the n-th step since the run began.
+Each row is one step. Row n is the state after the n-th step since the run began.
 
 reward       r of the task
-broadcast    what every synapse was sent in its place: after the rule, with reward given by hand
+broadcast    the signal that every synapse received: after the rule, with manual rewards
 ended        1 where an episode ended with this step
-fired        of each neuron, 1 where it fired in this step
+fired        1 where the neuron fired in this step
 potential    v of each neuron
 world        the task's state that the reward was given for. Where `ended` is 1, the state that
              ended the episode; the next row's step began from a new one, which is not shown
-input        what the network saw in this step: v and z of this row were made from it
+input        what the network saw in this step; v and z of this row depend on it
 beta, gamma  of each projection, as they were in force in this step: gamma as it falls, 0 while
              learning is frozen
 weight       w of each synapse after this step
 trace        z of each synapse after this step
 
-In the npz, `pre`, `post` and `projection` say of each synapse between which units it is and to
-which projection it belongs, numbered from 0, inputs before neurons; `activity` is u of a neuron
-that is silent and of one that fires. u of an input is its value. So, with u of the step before,
+In the npz, `pre`, `post` and `projection` are each synapse's units and projection,
+numbered from 0, inputs before neurons; `activity` is u of a silent neuron and of one
+that fires. u of an input is its value. So, with u of the step before,
 
     z[n] = beta[n] z[n-1] + (fired[n] - 1 / (1 + exp(-potential[n]))) u
     w[n] = w[n-1] + gamma[n] broadcast[n] z[n]
@@ -137,7 +136,7 @@ that is silent and of one that fires. u of an input is its value. So, with u of 
 
 
 def _each_step(replay: Replay, end: int) -> Columns:
-    """All of the steps up to `end`; the replay is there then."""
+    """All data of the steps up to `end`, where the replay is afterwards."""
     blocks, frames = [], []
     while replay.learner.step < end:
         blocks.append(replay.advance(1, closely=True))
@@ -165,13 +164,13 @@ def _check_same_again(run: Run, replay: Replay, header: Header) -> None:
     if check.moment().keyframe.digest() != following.keyframe.digest():
         why = header.other_now(run.learner.task)
         raise BadRecording(
-            f"the run does not come out the same again: {why}; leave --every-step out, for what "
-            "was stored"
+            f"recomputing the run gives a different result: {why}; leave --every-step out to "
+            "export the stored steps"
         )
 
 
 def _synapses(topology: Topology) -> Columns:
-    """Of each synapse the units it is between, and its projection; the values of activities."""
+    """Each synapse's units and projection; the values of activities."""
     pre, post = endpoints(topology)
     sizes = [math.prod(topology.shape(p)) for p in topology.projections]
     projection = np.repeat(np.arange(len(sizes)), sizes)
@@ -183,7 +182,7 @@ def _synapses(topology: Topology) -> Columns:
 
 
 def _names(topology: Topology) -> Names:
-    """What the columns of neurons and of projections are called."""
+    """Names of the columns of neurons and projections."""
     projections = [p.name for p in topology.projections]
     neurons = dict.fromkeys(_OF_NEURONS, neuron_names(topology))
     return {**neurons, "beta": projections, "gamma": projections}

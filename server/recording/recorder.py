@@ -1,4 +1,4 @@
-"""Follows a run and records it: a take for each stretch that no leap back in time interrupts."""
+"""Follows a run and records it: a segment for each part without a discontinuity."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from hebbviz.task.base import Tally
 class Recorder(Follower):
     """Records a run to a target, from now on.
 
-    `budget` is in bytes a minute, see `thinning`; `on_notice` is told when it has to stop, after
-    which it never begins again. Of several lanes it records the watched one, as the run of its own
-    that it is. Raises OSError if the target cannot be opened, ValueError under a rule of which no
-    lane is a run of its own; later it raises nothing, so that the run goes on whatever happens.
+    `budget` is in bytes a minute, see `thinning`; `on_notice` is called when it has to stop; it
+    then never starts again. With several lanes it records the watched one as an independent run.
+    Raises OSError if the target cannot be opened, ValueError under a rule that lets lanes touch;
+    later it raises nothing, so that the run always continues.
     """
 
     def __init__(
@@ -49,10 +49,10 @@ class Recorder(Follower):
         self._closing: threading.Thread | None = None
         self._open_take: Take | None = self._new_take(run)
 
-    # What the run tells
+    # Called by the run
 
     def plan(self, run: Run) -> Plan:
-        """Until which step to run at most, and whether every step until there is kept."""
+        """The last step to run to, and whether every step until there is kept."""
         take = self._take(run)
         if take is None or take.error is not None:
             return super().plan(run)
@@ -63,7 +63,7 @@ class Recorder(Follower):
             self._open_take.block(block, run.learner)
 
     def frame(self, run: Run, frame: Frame) -> None:
-        if self._open_take is not None:  # a run that rests after a leap has begun no take
+        if self._open_take is not None:  # a run paused after a discontinuity has no segment
             self._open_take.frame(frame)
 
     def edge(self, run: Run, total: Tally) -> None:
@@ -71,7 +71,7 @@ class Recorder(Follower):
             self._open_take.edge(total)
 
     def change(self, run: Run, logged: Logged) -> None:
-        if self._open_take is not None:  # else the next take begins with it
+        if self._open_take is not None:  # otherwise the next segment starts with it
             self._open_take.change(logged, run.learner)
 
     def keyframe(self, run: Run, moment: Moment) -> None:
@@ -79,18 +79,18 @@ class Recorder(Follower):
             self._open_take.keyframe(moment.lane(run.learner.watch))
 
     def leap(self, run: Run, words: str) -> None:
-        """End this take; the next one begins with the next step."""
+        """End this segment; the next one starts with the next step."""
         take, self._open_take = self._open_take, None
         if take is not None:
             take.end(run.learner, run.moment().lane(run.learner.watch), words)
             self._error = take.error
 
-    # For whoever started it
+    # Called by the owner
 
     def close(
         self, run: Run, words: str = "it was stopped", *, seconds: float = CLOSE_SECONDS
     ) -> None:
-        """End it whole; returns once all is on disk, or after so many seconds of writing."""
+        """End it complete; returns once everything is on disk, or after `seconds` of writing."""
         self.leap(run, words)
         self.wait_until_begun()
         until = time.monotonic() + seconds
@@ -102,7 +102,7 @@ class Recorder(Follower):
         self._closing.join(max(0.0, until - time.monotonic()))
 
     def wait_until_begun(self) -> None:
-        """Wait until it writes, which a machine at work elsewhere may take long for."""
+        """Wait until it writes, which can take long on a busy machine."""
         for take in self._takes:
             take.begun.wait(BEGIN_SECONDS)
 
@@ -113,20 +113,20 @@ class Recorder(Follower):
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the disk still holds up a thread of it: then the program must end without."""
+        """Whether the disk still blocks one of its threads, which the program must then abandon."""
         closing = self._closing is not None and self._closing.is_alive()
         return closing or any(take.is_stuck for take in self._takes)
 
     # Inside
 
     def _take(self, run: Run) -> Take | None:
-        """The take that is open, a new one after a leap; None if none can be had any more."""
+        """The open segment, or a new one after a discontinuity; None if recording has failed."""
         if self._open_take is None and self._error is None:
             try:
                 self._open_take = self._new_take(run)
-            except Exception as error:  # a run must not end with its recording
+            except Exception as error:  # a failed recording must not end the run
                 self._error = _in_words(error)
-                self._notice(f"recording has stopped, the run goes on: {self._error}")
+                self._notice(f"recording has stopped, the run continues: {self._error}")
         return self._open_take
 
     def _new_take(self, run: Run) -> Take:
@@ -134,7 +134,7 @@ class Recorder(Follower):
         task = run.make_task(run.task_name, run.learner.task.preset_name)
         header = _header(run, self._budget, self._detail)
         weight = run.learner.weights[:, run.learner.watch]
-        target = copy(self._target)  # the take before may still be writing to its own file
+        target = copy(self._target)  # the previous segment may still be writing its own file
         stream = target.open(self._begun + 1)
         take = Take(stream, target, header, task, weight, on_notice=self._notice)
         take.begin(run.learner, run.moment().lane(run.learner.watch))
@@ -147,7 +147,7 @@ def _in_words(error: Exception) -> str:
     if isinstance(error, ValueError):
         return str(error)
     if isinstance(error, FileExistsError):
-        return f"{error.filename} exists already and is not written over"
+        return f"{error.filename} exists already and is not overwritten"
     if isinstance(error, OSError):
         return f"cannot open {error.filename}: {reason(error)}" if error.filename else str(error)
     return f"{type(error).__name__}: {error}"

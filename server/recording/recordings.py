@@ -29,7 +29,7 @@ class Options:
     """What to record from the start, and how.
 
     `file` to record into, `stream` the port to serve viewers on, `budget` in bytes a minute,
-    `folder` for recordings that are named on the page.
+    `folder` for recordings started on the page.
     """
 
     file: Path | None = None
@@ -40,9 +40,9 @@ class Options:
 
 
 class Recordings:
-    """Starts and stops them, those that the options ask for at once.
+    """Starts and stops recordings; those in the options start at once.
 
-    Raises OSError, FileExistsError for a file of that name.
+    Raises OSError; FileExistsError if the file exists.
     """
 
     def __init__(self, run: Run, options: Options, *, on_notice: Callable[[str], None]) -> None:
@@ -51,19 +51,19 @@ class Recordings:
         self._begun: list[Recorder] = []
         self._file: Recorder | None = None
         self.stream_url: str | None = None
-        if options.stream is not None:  # first: where its port is taken, no file is begun
+        if options.stream is not None:  # first: if its port is taken, no file is created
             self._start_stream(options.stream)
         if options.file is not None:
             self.start(options.file)
 
     def start(self, path: str | Path) -> None:
-        """Record into a new file; raises OSError, FileExistsError if there is one of that name.
+        """Record into a new file; raises OSError; FileExistsError if it exists.
 
-        Raises ValueError while another recording goes on.
+        Raises ValueError while another recording is running.
         """
         if self.is_on:
-            raise ValueError("a recording goes on already: stop it first")
-        self.stop()  # one that had to stop by itself still follows the run
+            raise ValueError("a recording is already running: stop it first")
+        self.stop()  # one that stopped by itself still follows the run
         from hebbviz.server.recording.targets import FileTarget
 
         self._file = self._begin(FileTarget(path))
@@ -72,28 +72,26 @@ class Recordings:
         """Record into the folder for recordings; a plain file name, as a page may give."""
         if not re.fullmatch(r"[\w][\w .+=-]{0,99}", name):
             raise ValueError(
-                f"a recording's name has letters, digits, spaces and . + = - _, got {name[:40]!r}"
+                f"a recording's name has letters, digits, spaces or . + = - _, got {name[:40]!r}"
             )
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             self.start(self.folder / name)
         except FileExistsError:
-            raise ValueError(
-                f"there is a recording {name!r} already: choose another name"
-            ) from None
+            raise ValueError(f"a recording {name!r} exists already: choose another name") from None
         except OSError as error:
             raise ValueError(
                 f"cannot record in {self.folder}: {error.strerror or error}"
             ) from error
 
     def stop(self) -> None:
-        """End the recording into a file whole."""
+        """Finish the recording into a file."""
         if self._file is not None and self._file in self._run.followers:
             self._run.followers.remove(self._file)
             self._file.close(self._run)
 
     def close(self) -> bool:
-        """End all; returns whether the disk still holds up a thread of them."""
+        """Finish all; returns whether the disk still blocks one of their threads."""
         if not self._begun:
             return False
         from hebbviz.server.recording.segment import CLOSE_SECONDS
@@ -111,18 +109,18 @@ class Recordings:
 
     @property
     def is_on(self) -> bool:
-        """Whether a recording into a file goes on."""
+        """Whether a recording into a file is running."""
         on = self._file is not None and self._file in self._run.followers
         return on and self.status is not None and self.status.error is None
 
     def check_rule(self, rule: Rule) -> None:
-        """Raise ValueError if a recording goes on that the run cannot go on in under this rule."""
+        """Raise ValueError if a recording is running that does not allow this rule."""
         if any(r in self._run.followers and r.status.error is None for r in self._begun):
             check_recordable(rule)
 
     @property
     def status(self) -> Status | None:
-        """Of the latest recording into a file."""
+        """The status of the latest recording into a file."""
         return None if self._file is None else self._file.status
 
     def _start_stream(self, port: int) -> None:

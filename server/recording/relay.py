@@ -1,9 +1,10 @@
-"""Stands before rerun's server, and lets programs through to it but no web page.
+"""A relay before rerun's server that lets programs through, but no web page.
 
 rerun's server answers whatever Host a request names, so a website that has its own name lead here
 could read the stream, and it allows pages of this machine and of rerun.io. But browsers speak
 HTTP/2 only over TLS: whatever begins with its preface in the clear is a program, such as rerun's
-viewer. All else is turned away. rerun's server itself listens where no website can look for it.
+viewer. Everything else is refused. rerun's server itself listens at an address that no website can
+find.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ LATENCY_SECONDS = 0.05
 DRAIN_SECONDS = 0.5
 PIECE = 2**16
 REFUSED = (
-    "refused a request to the stream: it is a web page's; only programs may read it, such as "
+    "refused a request to the stream: it comes from a web page; only programs may read it, such as "
     "rerun's viewer"
 )
 
@@ -33,7 +34,7 @@ REFUSED = (
 class Relay(socketserver.ThreadingTCPServer):
     """Listens at 127.0.0.1 and a port, 0 for any; raises OSError where it is taken.
 
-    `behind` is where rerun's server is to listen; `on_refused` is told once.
+    `behind` is the address for rerun's server; `on_refused` is called once.
     """
 
     daemon_threads = True
@@ -54,7 +55,7 @@ class Relay(socketserver.ThreadingTCPServer):
         self._thread.start()
 
     def close(self) -> None:
-        """Let nobody in any more, once those who are in have what rerun's server still sent."""
+        """Stop, once current viewers have received what rerun's server has sent."""
         if self._thread.is_alive():
             self.shutdown()
         self.server_close()
@@ -79,7 +80,7 @@ class Relay(socketserver.ThreadingTCPServer):
             self._on_refused(REFUSED)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Whoever breaks off is no fault of ours, and worth no traceback."""
+        """Ignore clients that disconnect: no traceback."""
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)
 
@@ -114,8 +115,8 @@ class _Handler(socketserver.BaseRequestHandler):
 
 
 def _pass_on(source: socket.socket, sink: socket.socket) -> None:
-    """What comes from the one to the other, until it ends; what cannot be passed on is dropped:
-    a connection that is closed with something unread takes what it was sent with it.
+    """Pass on data from one socket to the other until the end. Data that cannot be passed on is
+    read and dropped: closing a connection with unread data would also discard sent data.
     """
     with contextlib.suppress(OSError):
         while piece := source.recv(PIECE):
@@ -127,7 +128,7 @@ def _pass_on(source: socket.socket, sink: socket.socket) -> None:
 
 def hidden_address() -> tuple[str, int]:
     """A free port of one of the 2²⁴ addresses of this machine, where there are so many (Linux);
-    elsewhere of its one.
+    elsewhere of its single one.
     """
     some = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
     for host in (some, "127.0.0.1"):

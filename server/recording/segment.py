@@ -1,7 +1,7 @@
-"""One take: a stretch of a run that nothing interrupts, written by a thread of its own.
+"""A segment: a part of a run without discontinuity, written by its own thread.
 
-The run's thread only puts things on a queue. It is bounded: what is beyond it is dropped and
-counted, keyframes and changes excepted, so that a slow disk never holds up a run.
+The run's thread only puts things on a queue. It is bounded: excess items are dropped and counted,
+except keyframes and changes, so that a slow disk never blocks a run.
 """
 
 from __future__ import annotations
@@ -30,30 +30,30 @@ from hebbviz.server.run.thinning import FULL, Plan, Thinning
 from hebbviz.task.base import Tally, Task
 
 FLUSH_SECONDS = 0.25
-"""A program that is killed loses no more of its recording than this, and the time to write it."""
+"""A killed program loses at most this much of its recording, plus the time to write it."""
 FLUSH_BYTES = 2_000_000
-"""Flushed more often where more comes, so that what is begun fits into the last of a disk."""
+"""Flushed more often under load, so that pending data fits into the last space of a disk."""
 FLUSH_PATIENCE = 5.0
 CLOSE_SECONDS = 3.0
 BEGIN_SECONDS = 30.0
 LOOKS_PER_SECOND = 8.0
-"""How often weights, traces and the network in 3D are kept in a run that is fast."""
+"""How often weights, traces and the network in 3D are kept in a fast run."""
 SLOW = 100.0
 """Steps a second up to which weights and traces are kept at every step."""
 MOST_QUEUED = 64_000_000
-"""Bytes that may wait for the disk."""
+"""Most bytes that wait for the disk."""
 MOST_KEPT = 3 * MOST_QUEUED
-"""Beyond this keyframes and changes cannot wait either: a disk so slow will never take them."""
+"""Beyond this, recording stops: the disk is too slow even for keyframes and changes."""
 
 Array = NDArray[np.float64]
 Job = Callable[[Writer], None]
 
 
 class Take(threading.Thread):
-    """Writes what its methods are told into a stream; they return at once.
+    """Writes a run's data into a stream; its methods only queue the data and return at once.
 
-    `task` is for this thread alone; `weight` (synapses,) are those at the beginning. The first
-    thing told is the keyframe it begins with.
+    `task` is for this thread only; `weight` (synapses,) are the initial weights. The first call is
+    `begin`, with the initial keyframe.
     """
 
     def __init__(
@@ -84,13 +84,13 @@ class Take(threading.Thread):
         self.error: str | None = None
         self._giving_up: threading.Thread | None = None
         self.begun = threading.Event()
-        """Set once it writes; what is imported for it may take long."""
+        """Set once it writes; its imports can take long."""
         self.start()
 
-    # What the run's thread tells
+    # Called by the run's thread
 
     def plan(self, step: int) -> Plan:
-        """Until which step to run, and whether every step until there is kept."""
+        """The step to run to, and whether every step until there is kept."""
         now = time.monotonic()
         self._thinning.note_speed(step, now)
         if step >= self._plan.until:
@@ -128,7 +128,7 @@ class Take(threading.Thread):
             self.weights(learner)
 
     def begin(self, learner: Learner, moment: Moment) -> None:
-        """The first that is told: what the run begins with."""
+        """The first call: the initial state of the run."""
         self.keyframe(moment)
         self.parameters(learner)
         if self._header.detail == FULL:
@@ -143,7 +143,7 @@ class Take(threading.Thread):
         self._tell(lambda w: w.weights(step, *now), self._weights_size)
 
     def frame(self, frame: Frame) -> None:
-        """The sums since the frame before, and now and then weights and traces."""
+        """Record the sums since the previous frame, and sometimes weights and traces."""
         if not frame.since.steps:
             return
         full = self._header.detail == FULL
@@ -158,29 +158,29 @@ class Take(threading.Thread):
             self._tell(lambda w: w.look(frame), self._look_size)
 
     def edge(self, total: Tally) -> None:
-        """The totals at the edge of a window of the learning curve."""
+        """Record the totals at the edge of a window of the learning curve."""
         self._tell(lambda w: w.edge(total), 200, must=True)
 
     def change(self, logged: Logged, learner: Learner) -> None:
-        """A change that `learner` has just made."""
+        """Record a change that `learner` has just made."""
         self._tell(lambda w: w.change(logged), 400, must=True)
         self.parameters(learner)
 
     def parameters(self, learner: Learner) -> None:
-        """β and γ as they are now, and whether learning is frozen."""
+        """Record the current β and γ, and whether learning is frozen."""
         step, frozen = learner.step, learner.frozen
         in_force = step, learner.beta, learner.gamma_in_force
         self._tell(lambda w: w.parameters(*in_force), 150, must=True)
         self._tell(lambda w: w.phase(step, frozen=frozen), 50, must=True)
 
     def keyframe(self, moment: Moment) -> None:
-        """A moment from which the run can be made again."""
+        """Record a keyframe."""
         self._step = moment.step
         size = moment.keyframe.network.nbytes + moment.keyframe.world.nbytes + 400
         self._tell(lambda w: w.keyframe(moment), size, must=True)
 
     def end(self, learner: Learner, moment: Moment, words: str) -> None:
-        """The last that is told: where it ends, and why."""
+        """The last call: the final state, and the reason for the end."""
         self.keyframe(moment)
         self.parameters(learner)
         self._tell(lambda w: w.end(moment.step, words), 400, must=True)
@@ -188,13 +188,13 @@ class Take(threading.Thread):
         self._queue.put(None)
 
     def check_end(self) -> None:
-        """Say so if it has not ended by now."""
+        """Report it if the segment has not ended by now."""
         if self.is_alive():
             self._fail(self._target.silence)
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the disk still holds up a thread of it."""
+        """Whether the disk still blocks one of its threads."""
         return self.is_alive() or (self._giving_up is not None and self._giving_up.is_alive())
 
     @property
@@ -214,7 +214,7 @@ class Take(threading.Thread):
         )
 
     def _tell(self, job: Job, size: int, *, must: bool = False) -> bool:
-        """Put something on the queue if there is room, or in any case if it `must` be kept."""
+        """Queue a job if there is room, or in any case if it `must` be kept."""
         if self.error is not None:
             return False
         waiting = self._told - self._written
@@ -238,10 +238,10 @@ class Take(threading.Thread):
             self._write_all(writer)
             del writer
             self._stream.let_go()
-        except Exception as error:  # rerun says of a disk that its writer ended prematurely
+        except Exception as error:  # for disk errors, rerun says only that its writer ended
             why = self._target.trouble(0) or f"{type(error).__name__}: {error}"
             self._fail(why.splitlines()[0][:200])
-            # where a disk is full this may never return
+            # with a full disk this may never return
             self._giving_up = threading.Thread(target=self._stream.let_go, daemon=True)
             self._giving_up.start()
 
@@ -250,8 +250,8 @@ class Take(threading.Thread):
         return Writer(self._stream, self._header, self._task, self._weight, live=live)
 
     def _write_all(self, writer: Writer) -> None:
-        """Write what is told until the end of it, or until no more can be written."""
-        next_flush = time.monotonic()  # what it is and begins with is on disk before all else
+        """Write the queue until its end, or until writing fails."""
+        next_flush = time.monotonic()  # the header and initial state go to disk first
         goes_on = True
         while goes_on:
             with contextlib.suppress(queue.Empty):
@@ -281,8 +281,8 @@ class Take(threading.Thread):
             self._ratio = float(np.clip(size / self._written, 0.1, 10.0))
 
     def _is_flushed(self) -> bool:
-        """Whether all is on its way in good time. What a viewer holds up is waited for, and what
-        comes meanwhile stays on the queue, which is bounded; a disk that holds up is an error.
+        """Flush in time; returns whether it succeeded. A slow viewer is waited for, while new data
+        stays on the bounded queue; a slow disk is an error.
         """
         try:
             self._stream.flush(timeout_sec=FLUSH_PATIENCE)
@@ -299,11 +299,13 @@ class Take(threading.Thread):
         if self.error is None:
             self.error = why
             self._ended = time.monotonic()
-            self._notice(f"recording into {self._target.words} has stopped, the run goes on: {why}")
+            self._notice(
+                f"recording into {self._target.words} has stopped, the run continues: {why}"
+            )
 
 
 def _step_size(task: Task, header: Header) -> int:
-    """About what a step that is kept takes in a file, in bytes; what it really took corrects it."""
+    """First estimate of a kept step's size in a file, in bytes; measured sizes correct it."""
     neurons, groups = header.topology.neurons, len(header.topology.neuron_groups)
     light = 12 * neurons if neurons <= MOST_LIT else 0
     props = 40 * len(task.props) + 100 * sum(p.trail for p in task.props)

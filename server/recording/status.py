@@ -1,4 +1,4 @@
-"""What can be said of a recording that goes on."""
+"""The status of a running recording."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Status:
-    """What can be said of a recording; `size` in bytes, None where it is not known.
+    """The status of a recording; `size` in bytes, None if unknown.
 
-    `rule` says by what rule it is thinned.
+    `rule` is the thinning rule as text.
     """
 
     where: str
@@ -24,10 +24,10 @@ class Status:
 
     @property
     def thinned(self) -> str:
-        """What was thinned, in words."""
+        """The thinning as text."""
         dropped = f"; {self.dropped:,} steps dropped: the disk is too slow" * (self.dropped > 0)
         if self.kept >= self.steps:
             return "every step is kept"
         share = f"{100 * self.kept / max(1, self.steps):.3g} % of the steps kept"
-        now = {0: "sums, keyframes and changes only", 1: "every step just now"}
-        return f"{share}, {now.get(self.every, f'just now 1 window in {self.every:,}')}{dropped}"
+        now = {0: "sums, keyframes and changes only", 1: "currently every step"}
+        return f"{share}, {now.get(self.every, f'currently 1 window in {self.every:,}')}{dropped}"

@@ -1,4 +1,4 @@
-"""Where a recording goes: into a file of its own, or to viewers that connect to this machine."""
+"""Targets of a recording: a new file, or viewers that connect to this machine."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from hebbviz.sims.program.terminal import reason
 
 DEFAULT_STREAM_PORT = 9876
 RESERVE = 4_000_000
-"""Bytes left free on a disk, so that a recording can be ended whole."""
+"""Bytes left free on a disk, so that a recording can be finished."""
 RESERVE_SHARE = 0.02
 
 
 class FileTarget:
-    """One file for each run: NAME.rrd, then NAME-2.rrd, NAME-3.rrd … after a leap back in time.
+    """One file for each run: NAME.rrd, then NAME-2.rrd, NAME-3.rrd … after a discontinuity.
 
-    A file that exists is never written over: `open` raises FileExistsError.
+    An existing file is never overwritten: `open` raises FileExistsError.
     """
 
     live = False
     silence = "the disk does not answer"
-    """What to say when nothing gets through."""
+    """The message when nothing gets through."""
 
     def __init__(self, path: str | Path) -> None:
         path = Path(path)
@@ -65,7 +65,7 @@ class FileTarget:
         return str(self.path)
 
     def size(self) -> int | None:
-        """Bytes written so far, None where that is not known."""
+        """Bytes written so far, None if unknown."""
         with contextlib.suppress(OSError):
             size = self.path.stat().st_size
             self._size = max(self._size, size)
@@ -73,7 +73,7 @@ class FileTarget:
         return 0
 
     def trouble(self, pending: int) -> str | None:
-        """Why nothing more can be written, if so."""
+        """The reason why nothing more can be written, or None."""
         try:
             if self.path.stat().st_ino != self._inode:
                 return "another file has taken the place of its own"
@@ -82,9 +82,9 @@ class FileTarget:
         except OSError as error:
             return f"its file is gone ({reason(error)})"
         if written < self._size:
-            return "another program has cut its file short"
+            return "another program has truncated its file"
         if free < RESERVE + RESERVE_SHARE * written + pending:
-            return f"the disk is full but for {free / 1e6:.1f} MB"
+            return f"the disk is full: only {free / 1e6:.1f} MB left"
         return None
 
     def close(self) -> None:
@@ -97,7 +97,7 @@ class StreamTarget:
     """
 
     live = True
-    silence = "a viewer does not take what it is sent"
+    silence = "a viewer does not read its data"
     words = "the stream"
 
     def __init__(
@@ -116,9 +116,10 @@ class StreamTarget:
         self._relay.start()
 
     def open(self, number: int) -> Stream:
-        """A stream of its own for each run, through the one server.
+        """A new stream for each run, through the one server.
 
-        The server's own passes for the first run's, or viewers would show an empty one as well.
+        The server's own stream serves the first run; otherwise viewers would also show an empty
+        one.
         """
         stream = Stream(self._hub.identity if number == 1 else None)
         stream.set_sinks(rr.GrpcSink(self._own_url))
@@ -139,7 +140,7 @@ Target = FileTarget | StreamTarget
 
 
 def _relay(port: int, on_refused: Callable[[str], None]) -> Relay:
-    """What listens at the port; a taken one raises OSError: rerun would not say."""
+    """The relay at the port; raises OSError if it is taken, which rerun would not report."""
     try:
         return Relay(port, on_refused)
     except OSError as error:

@@ -1,7 +1,7 @@
 """A run's blocks, frames, keyframes and changes as rows of a rerun stream.
 
-What stands at step n is what was so after the n-th step since the start. Entities under `hebbviz/`
-are for programs: with them a run is made again to the bit. All others are for eyes.
+Step n holds the state after the n-th step since the start. Entities under `hebbviz/` are for
+programs, which recompute a run from them to the bit. All others are for viewing.
 """
 
 from __future__ import annotations
@@ -37,7 +37,9 @@ class Writer:
     def __init__(
         self, stream: Stream, header: Header, task: Task, weight: Array, *, live: bool
     ) -> None:
-        """`weight` (synapses,) chooses those drawn of a large network; `live` follows the end."""
+        """`weight` (synapses,) selects the drawn synapses of a large network; `live` follows the
+        end.
+        """
         self._stream, self._header = stream, header
         self._task, self._topology = task, header.topology
         self._curves = curves_of(header.topology)
@@ -51,7 +53,7 @@ class Writer:
         self._name_series()
         self._scene = Scene(stream, task, header.topology, self._rows, weight=weight)
 
-    # What happens
+    # Events of the run
 
     def block(self, block: Block, readings: Array) -> None:
         """Every step of a stretch, and the world's (n, readings)."""
@@ -78,7 +80,7 @@ class Writer:
         self.say(step, f"kept from here on: {kept}", "DEBUG")
 
     def frame(self, frame: Frame, *, world: bool) -> None:
-        """The sums over all steps since the frame before; and, if asked for, the world now."""
+        """The sums over all steps since the previous frame; and, if requested, the world now."""
         since, step = frame.since, frame.step
         low, high = since.potential_range.astype(np.float32)
         self._record(
@@ -145,7 +147,7 @@ class Writer:
         self.say(logged.step, str(logged.change))
 
     def parameters(self, step: int, beta: float, gamma: float) -> None:
-        """β, and γ as it is in force."""
+        """β, and the effective γ."""
         self._add("parameters/beta", _at(step), np.array([beta]))
         self._add("parameters/gamma", _at(step), np.array([gamma]))
         if gamma > 0.0:
@@ -157,7 +159,7 @@ class Writer:
         self._rows.add("phase", _at(step), phase, rows.states)
 
     def keyframe(self, moment: Moment) -> None:
-        """A moment from which the run can be made again, with its checksum."""
+        """A keyframe, with its checksum."""
         k = moment.keyframe
         self._record(
             "keyframe",
@@ -179,12 +181,12 @@ class Writer:
         self._rows.add("events", _at(step), line, rows.texts)
 
     def end(self, step: int, words: str) -> None:
-        """The recording ends here, for a reason in words."""
+        """The end of the recording; `words` is the reason."""
         self._record("end", step, reason=words)
         self.say(step, f"the recording ends: {words}")
 
     def flush(self) -> None:
-        """Hand over all that was gathered; the stream may still keep some of it for a moment."""
+        """Send all gathered rows; the stream may still keep some of them for a moment."""
         self._rows.flush()
 
     # Inside

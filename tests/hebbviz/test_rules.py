@@ -648,7 +648,9 @@ def test_where_lanes_touch_each_other_none_is_recorded(tmp_path):
     """Refused at the start; a rule that would make it so later is refused while it goes on."""
     notices = []
     recordings = Recordings(new_run(lanes=2, rule=Yoked()), Options(), on_notice=notices.append)
-    with pytest.raises(ValueError, match=r"^a recording holds one lane, which under rule yoked "):
+    with pytest.raises(
+        ValueError, match=r"^a recording holds one lane, but lanes under rule yoked "
+    ):
         recordings.start(tmp_path / "yoked.rrd")
     assert not list(tmp_path.iterdir())
     run = new_run(lanes=2)

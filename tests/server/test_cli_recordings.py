@@ -107,7 +107,7 @@ def test_a_task_of_the_users_own_is_run_only_if_it_is_named(
     assert main([command, str(folder / "pole.rrd"), *options, "--task", "sonar"]) == 2
 
 
-def test_what_is_another_than_when_it_was_recorded_is_told(
+def test_a_difference_from_the_recording_program_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The task's file where nothing else is: it was edited after the recording."""
@@ -123,7 +123,7 @@ def test_what_is_another_than_when_it_was_recorded_is_told(
     for name, value, told in (
         (None, None, "the file of its task or rule has probably changed"),
         ("versions", dict, "it was recorded with hebbviz "),
-        ("machine", lambda: "Plan9 vax", "this is Plan9 vax"),
+        ("machine", lambda: "Plan9 vax", "this machine is Plan9 vax"),
     ):
         if name is not None:
             monkeypatch.setattr(header, name, value)

@@ -583,7 +583,7 @@ def test_recording_is_begun_and_ended_by_commands(stage: Stage) -> None:
     stage.wait(lambda: stage.snapshot.run.live.step > STEP + 2000)
     assert stage.snapshot.recording.is_on
     stage.send(StartRecording("another"))
-    assert any("goes on already" in n for n in stage.notices)
+    assert any("already running" in n for n in stage.notices)
     stage.send(StopRecording())
     assert not stage.snapshot.recording.is_on
     recording = open_recording(stage.recordings.folder / "a run.rrd")

@@ -466,7 +466,7 @@ def test_a_training_on_a_full_disk_ends_with_its_figures(
         assert "now at step 60,000" in program.out()
         told = program.err()
         assert told.count("\n") == 1
-        assert f"recording into {path} has stopped, the run goes on: the disk is full" in told
+        assert f"recording into {path} has stopped, the run continues: the disk is full" in told
         recording = open_recording(path)
         assert 0 < recording.last_step < 60_000
         assert (recording.is_cut, recording.notice) == (False, None)
@@ -564,8 +564,8 @@ def test_a_file_that_another_program_cuts_is_said_and_the_run_goes_on(tmp_path: 
     os.truncate(tmp_path / "run.rrd", 20_000)
     wait_until(lambda: notices, PATIENCE)
     assert notices == [
-        f"recording into {tmp_path / 'run.rrd'} has stopped, the run goes on: another program has "
-        "cut its file short"
+        f"recording into {tmp_path / 'run.rrd'} has stopped, the run continues: another program "
+        "has truncated its file"
     ]
     advance(run, 500)
     assert run.learner.step == 1000
@@ -683,7 +683,7 @@ def test_a_disk_that_never_answers_is_given_up(
         run.keep()
         time.sleep(0.005)
     assert notices == [
-        "recording into a slow disk has stopped, the run goes on: the disk does not answer"
+        "recording into a slow disk has stopped, the run continues: the disk does not answer"
     ]
     began = time.monotonic()
     recorder.close(run, seconds=0.2)
@@ -741,8 +741,8 @@ def test_a_name_that_is_taken_after_a_leap_ends_the_recording_alone(tmp_path: Pa
         run.keep()
         run.undo()
     assert notices == [
-        f"recording has stopped, the run goes on: {tmp_path}/run-2.rrd exists already and is not "
-        "written over"
+        f"recording has stopped, the run continues: {tmp_path}/run-2.rrd exists already and is not "
+        "overwritten"
     ]
     assert not recordings.is_on
     assert recordings.status is not None
@@ -831,7 +831,7 @@ def test_a_viewer_that_stalls_or_is_killed_slows_nothing(
         assert program.err() == ""
         assert program.end() < ENDS
     assert program.process.returncode == 0
-    stopped = "recording into the stream has stopped, the run goes on"
+    stopped = "recording into the stream has stopped, the run continues"
     left = f"hebbviz: {stopped}: {StreamTarget.silence}\n"
     assert program.err() in ("", left), "what is left at the end is not waited for"
     recording = open_recording(tmp_path / "run.rrd")
