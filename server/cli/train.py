@@ -62,7 +62,7 @@ def add(commands: Any) -> None:
     train.add_argument(
         "--save",
         metavar="FILE",
-        help="save the learner (.npz) for --load; an existing file is overwritten only if it was loaded",
+        help="save the learner (.npz) for --load; overwrites only the file that was loaded",
     )
     train.add_argument("--json", action="store_true", help="print the figures as one line of JSON")
     train.set_defaults(run=run)
