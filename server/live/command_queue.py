@@ -1,7 +1,7 @@
-"""The commands that have come in, given out one by one in the order in which they came.
+"""The queue of commands, which are handed out one by one in order of arrival.
 
-One after which other code is needed waits until that is compiled, and those after it wait too, but
-for pausing. Of settings with no other command between them the last of each kind wins.
+A command that needs newly compiled code waits for it, and later commands wait too, except pausing.
+Among consecutive settings the last of each kind wins.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from hebbviz.server.live.precompile import Preparation
 from hebbviz.server.run.changes import Freeze, SetBeta, SetFall, SetGamma
 
 MOST_WAITING = 256
-"""Commands beyond these are lost: nobody waits for so many."""
+"""Commands beyond this number are lost."""
 SETTINGS: tuple[tuple[type, ...], ...] = (
     (SetBeta, SetGamma, SetFall, Freeze),
     (Seek, Probe, SetSpeed, SetWatchSpeed),
 )
-"""Of those that come one after the other in a group, each makes the one of its kind before vain."""
+"""Settings: a new one replaces a waiting one of its kind, if no other command is between them."""
 
 
 class Inbox:
-    """`prepare` begins what a command must wait for, or says None if it can be carried out."""
+    """`prepare` starts what a command must wait for, or returns None if it can be carried out."""
 
     def __init__(self, prepare: Callable[[Command], Preparation | None]) -> None:
         self._prepare = prepare
@@ -33,13 +33,13 @@ class Inbox:
         self._is_new = False
         self._lost = 0
         self.preparation: Preparation | None = None
-        """What is being waited for."""
+        """The preparation that a command waits for."""
 
     def __len__(self) -> int:
         return len(self._waiting)
 
     def put(self, command: Command) -> None:
-        """From any thread, never blocks."""
+        """Add a command; from any thread, never blocks."""
         with self._changed:
             self._forget_vain(type(command))
             if len(self._waiting) < MOST_WAITING:
@@ -49,34 +49,34 @@ class Inbox:
         self.wake()
 
     def wake(self) -> None:
-        """End the waiting of `take`, from any thread."""
+        """Wake a waiting `take`, from any thread."""
         with self._changed:
             self._is_new = True
             self._changed.notify()
 
     def take(self, seconds: float) -> Iterator[Command]:
-        """Those to be carried out now, each before the next is asked for; waits for the first
-        one so long.
+        """The commands to carry out now, each before the next is taken; waits at most `seconds` for
+        the first.
         """
         self.wait(seconds)
         while (command := self._next()) is not None:
             yield command
 
     def wait(self, seconds: float) -> None:
-        """Wait at most so long for a command, or while one waits, for another."""
+        """Wait at most `seconds` for a command, or for another one while one waits."""
         with self._changed:
             if self.preparation is not None or not self._waiting:
                 self._changed.wait_for(lambda: self._is_new, seconds)
             self._is_new = False
 
     def count_lost(self) -> int:
-        """How many commands were lost since this was asked before."""
+        """Number of commands lost since the last call."""
         with self._changed:
             lost, self._lost = self._lost, 0
         return lost
 
     def _forget_vain(self, kind: type) -> None:
-        """Drop the setting that a new one of its kind makes vain, such as while a slider moves."""
+        """Drop the setting that a new one of its kind replaces, as while a slider moves."""
         group = next((group for group in SETTINGS if kind in group), ())
         for k in reversed(range(len(self._waiting))):
             if type(self._waiting[k]) is kind and group:
@@ -86,7 +86,7 @@ class Inbox:
                 return
 
     def _next(self) -> Command | None:
-        """The next one that need not wait."""
+        """The next command that need not wait."""
         if self.preparation is not None:
             return self._next_meanwhile(self.preparation)
         with self._changed:
@@ -97,7 +97,7 @@ class Inbox:
         return command if self.preparation is None else self._next()
 
     def _next_meanwhile(self, preparation: Preparation) -> Command | None:
-        """Pausing; or, once all is compiled, the command that waited for it."""
+        """A pause command; or, once compiling is done, the command that waited for it."""
         with self._changed:
             for command in self._waiting:
                 if isinstance(command, Pause):

@@ -1,8 +1,8 @@
-"""Watching: excerpts of a fast run, made again at a speed the eye can follow.
+"""Excerpts of a fast run, recomputed at a speed the eye can follow.
 
-While the run goes on at full speed, a replay plays a few seconds from one of its latest moments,
-then leaps to a newer one. Every step shown is one that happened. On request it plays the latest
-reward in slow motion: the steps before it, its arrival, what it did.
+While the run continues at full speed, a replay plays a few seconds from one of its latest
+keyframes, then jumps to a newer one. Every step shown really happened. On request it plays the
+latest reward in slow motion: the steps before it, its arrival, its effect.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ LEAD, TAIL = 7, 4
 """Steps shown before and after a reward in slow motion."""
 SLOW_STEPS_PER_SECOND = 2.5
 HOLD_SECONDS = 1.5
-"""What a reward did stays to be seen for so long."""
+"""How long the effect of a reward stays visible."""
 
 DEFAULT_SPEED = 25.0
 
 
 @dataclass(frozen=True)
 class Excerpt:
-    """Where what is shown stands in the run: steps `first` to `last`, and the one shown now."""
+    """The position of an excerpt in the run: steps `first` to `last`, and the current one."""
 
     first: int
     last: int
@@ -39,14 +39,14 @@ class Excerpt:
 
 @dataclass(frozen=True)
 class _Reward:
-    """A reward that came at the end of `step`, and a moment from before it."""
+    """A reward at the end of `step`, and a keyframe before it."""
 
     moment: Moment
     step: int
 
 
 class Watch:
-    """Keeps moments of a run to play from, and plays them."""
+    """Keeps keyframes of a run, and plays excerpts from them."""
 
     def __init__(self) -> None:
         self.on = False
@@ -65,12 +65,14 @@ class Watch:
         return self._replay is not None and self._excerpt.is_reward
 
     def clear(self) -> None:
-        """Forget all moments: the run is another one."""
+        """Forget all keyframes: the run was replaced."""
         self._moments.clear()
         self._latest_reward = self._replay = self._beginning = None
 
     def look_at(self, lane: int) -> None:
-        """Go on with another lane of the same excerpt; the latest reward was the other lane's."""
+        """Continue the excerpt with another lane; forget the latest reward, which was the other
+        lane's.
+        """
         self._latest_reward = None
         if self.in_slow_motion:
             self._replay = None
@@ -78,7 +80,7 @@ class Watch:
             self._replay.learner.look_at(lane)
 
     def note(self, moment: Moment, block: Block) -> None:
-        """Keep the moment at which a block of the run began; look for rewards in the block."""
+        """Keep the keyframe at the start of a block of the run; look for rewards in the block."""
         if self._beginning is None:
             self._beginning = moment
         rewarded = np.flatnonzero(block.events(moment.keyframe.rule))
@@ -86,12 +88,12 @@ class Watch:
             step = block.start + int(rewarded[-1])
             before = [m for m in (*self._moments, moment) if m.step <= max(0, step - LEAD)]
             self._latest_reward = _Reward(before[-1] if before else moment, step)
-        spacing = self._length() // 4  # so that the moments kept span two excerpts
+        spacing = self._length() // 4  # so that the kept keyframes span two excerpts
         if not self._moments or moment.step - self._moments[-1].step >= spacing:
             self._moments.append(moment)
 
     def show_reward(self, run: Run) -> bool:
-        """Begin the slow motion of the latest reward; False if there was none yet."""
+        """Start the slow motion of the latest reward; False if there was none yet."""
         reward = self._latest_reward
         if reward is None:
             return False
@@ -114,10 +116,10 @@ class Watch:
     def play(
         self, run: Run, seconds: float, *, go_on: bool = True
     ) -> tuple[Replay, Block | None] | None:
-        """Move the excerpt on by a stretch of time; None if nothing is being played.
+        """Advance the excerpt by some seconds; None if nothing is playing.
 
-        At its end another begins if it is to `go_on`. Returns the replay and the block of the
-        steps it took, if any.
+        At its end another one starts if `go_on`. Returns the replay and the block of its steps, if
+        any.
         """
         if self._replay is not None and not self._replay.is_of(run):
             self.clear()
@@ -154,13 +156,13 @@ class Watch:
         return self._replay is None or self._replay.learner.step >= self._excerpt.last
 
     def _leap(self, run: Run) -> None:
-        """Begin a new excerpt at the newest moment with enough steps after it."""
+        """Start a new excerpt at the newest keyframe with enough steps after it."""
         length = self._length()
         fit = [m for m in self._moments if m.step + length <= run.learner.step]
         moment = fit[-1] if fit else self._moments[0]
         if moment.step == run.learner.step:
             return
-        first, last = moment.step, moment.step + length  # the run gets there first: it is faster
+        first, last = moment.step, moment.step + length  # the run gets there first, as it is faster
         self._start(run.replay(moment), Excerpt(first, last, first, is_reward=False))
 
     def _length(self) -> int:

@@ -2,9 +2,9 @@
 
     w ← w + γ r z at every step, so over T steps with one γ    mean of r z = (w − w_before) / (γ T)
 
-which is a sum over every step, however it was cut into pictures. It begins anew at every change
-of the run (of β, of γ, a reward by hand), and reaches back only as far as the weights it belongs
-to are nearly those of now.
+which is a sum over every step, however it was cut into pictures. It restarts at every change of the
+run (of β, of γ, a manual reward), and reaches back only as far as the weights were nearly the
+current ones.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from hebbviz.theory.exact_gradient import GradientTruth
 Array = NDArray[np.float64]
 
 STAYED = 0.1
-"""The mean reaches back to where the weights have moved by this share of their length since."""
+"""The mean reaches back until the weights have moved by this share of their length."""
 MOST_MARKS = 256
 SPACING = 1.05
 """The steps since the last change grow by this factor from one point of a curve to the next."""
 LEAST_POINTS = 12
-"""A shorter curve is forgotten with the change that ends it: a slider was on its way."""
+"""A shorter curve is dropped at the change that ends it: a slider was being dragged."""
 MOST_EARLIER = 3
 
 
 @dataclass(frozen=True)
 class AngleCurve:
-    """Degrees between truth and estimate (n,) over steps since a change (n,), at one β."""
+    """Degrees between exact gradient and estimate (n,), over steps since a change (n,), at a β."""
 
     beta: float
     steps: Array
@@ -47,7 +47,7 @@ class AngleCurve:
 class Estimate:
     """The `mean` of r z (synapses,) over the latest `steps`, of `since` steps since a change.
 
-    `curve` is its angle since then; `earlier` are those before the change, of other β.
+    `curve` is its angle since then; `earlier` are the curves of other β before the change.
     """
 
     mean: Array
@@ -58,12 +58,14 @@ class Estimate:
 
     @property
     def reaches_back(self) -> bool:
-        """Whether it is over all steps since the last change: the weights stood still."""
+        """Whether it covers all steps since the last change: the weights hardly moved."""
         return self.steps == self.since
 
 
 def truth_of(task: Task, frame: Frame) -> GradientTruth | str | None:
-    """The truth for a frame's weights and β, why there is none, or None if it is not known."""
+    """The exact gradient for a frame's weights and β, the reason for its absence, or None if
+    unknown.
+    """
     try:
         return task.truth(frame.weight, frame.topology, float(frame.beta[0]))
     except ValueError as error:
@@ -71,7 +73,7 @@ def truth_of(task: Task, frame: Frame) -> GradientTruth | str | None:
 
 
 def knows_its_truth(task: Task) -> bool:
-    """Whether the true gradient of the task's own network is known: there are tabs for it then."""
+    """Whether the exact gradient of the task's own network is known, and has tabs."""
     topology = task.topology()
     try:
         truth = task.truth(np.zeros(topology.synapses), topology, task.preset.beta)
@@ -81,7 +83,7 @@ def knows_its_truth(task: Task) -> bool:
 
 
 def tells_the_mean(frame: Frame) -> bool:
-    """Whether what the weights did is γ times the sum of r z: the paper's rule, with one γ."""
+    """Whether the weight change is γ times the sum of r z: the paper's rule with a constant γ."""
     return frame.rule == PAPER and math.isinf(frame.fall)
 
 
@@ -94,10 +96,10 @@ class _Mark:
 
 
 class Estimating(Follower):
-    """Follows a run whose task knows its truth; `estimate` is None where there is none to be had.
+    """Follows a run whose task knows its exact gradient; `estimate` is None if unavailable.
 
-    There is none before the first step after a change, nor while learning is frozen: then no
-    weight moves, and tells nothing of r z. Nor is there under another rule or a γ that falls.
+    It is unavailable before the first step after a change, while learning is frozen (no weight
+    moves), under another rule, and while γ falls.
     """
 
     def __init__(self) -> None:
@@ -134,13 +136,13 @@ class Estimating(Follower):
         self.estimate = Estimate(mean, steps, since, self._curve(), tuple(self._earlier))
 
     def change(self, run: Run, logged: Logged) -> None:
-        """Begin anew with a change; the curve so far is kept if β becomes another."""
+        """Restart at a change; the curve so far is kept if β changes."""
         if self._marks:
             self._keep_curve(run.learner.beta)
             self._begin(run.learner.step, run.learner.weights[:, run.learner.watch])
 
     def leap(self, run: Run, words: str) -> None:
-        """Forget all: the run is another one."""
+        """Forget everything: the run was replaced."""
         self._marks.clear()
         self._earlier.clear()
         self.estimate = None
@@ -153,7 +155,7 @@ class Estimating(Follower):
         self._start, self._points, self.estimate = step, [], None
 
     def _note(self, mark: _Mark) -> None:
-        """Remember where the weights were, and forget where they have moved away from."""
+        """Remember the weights, and forget those that are too far away by now."""
         marks = self._marks
         if mark.step > marks[-1].step:
             marks.append(mark)
@@ -175,7 +177,7 @@ class Estimating(Follower):
         return AngleCurve(self._beta, steps, degrees)
 
     def _keep_curve(self, beta: float) -> None:
-        """One curve of each β, the latest; none of the β that is to come."""
+        """Keep the latest curve of each β, except the new β."""
         kept = [c for c in self._earlier if c.beta not in (self._beta, beta)]
         if self._beta != beta:
             curve = self._curve()

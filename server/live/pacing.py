@@ -1,4 +1,4 @@
-"""How fast a run is asked to go, and how many steps come next.
+"""The requested speed of a run, and the number of steps to make next.
 
 At a speed of k steps/s every second owes k steps, and a stretch makes those that are owed. At full
 speed none are counted. Either way a stretch is no longer than lets a command act soon, by how long
@@ -54,7 +54,7 @@ class Tempo:
 
     @property
     def rate(self) -> float | None:
-        """Steps per second that are asked for, or None for as fast as it goes."""
+        """Requested steps per second, or None for full speed."""
         if self.speed == MAX:
             return None
         if self.speed == REALTIME:
@@ -62,7 +62,7 @@ class Tempo:
         return float(self.speed)
 
     def begin(self, dt: float | None) -> None:
-        """Owe nothing: the run is another one."""
+        """Owe no steps: the run was replaced."""
         self._dt, self._single, self._stretch = dt, 0, FIRST_STRETCH
         self._forget()
 
@@ -71,12 +71,12 @@ class Tempo:
         self._forget()
 
     def pause(self, paused: bool) -> None:
-        """Rest, or go on."""
+        """Pause or resume."""
         self.paused, self._single = paused, 0
         self._forget()
 
     def step(self, steps: int) -> None:
-        """Make so many steps more, and rest there."""
+        """Make this many more steps, then pause."""
         self.paused = True
         self._single += steps
 
@@ -85,7 +85,7 @@ class Tempo:
         return self._due() > 0
 
     def next(self, seconds: float) -> int:
-        """How many steps are to be made now, so long after this was asked before."""
+        """Number of steps to make now, `seconds` after the last call."""
         rate = self.rate
         if rate is not None and not self.paused:
             self._owed = min(self._owed + rate * seconds, max(1.0, rate * MOST_OWED_SECONDS))

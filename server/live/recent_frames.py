@@ -1,4 +1,4 @@
-"""The latest of what was shown, as far as it follows on without a leap."""
+"""The latest frames that were shown, without a discontinuity between them."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ FRAMES = 200
 STEPS = 256
 MOST_BYTES = 100_000_000
 MANY = 50
-"""Times as many steps in one frame as in another are too many to be seen beside them."""
+"""Frames whose step counts differ by more than this factor are not shown together."""
 
 
 class Trail:
-    """Frames that follow on one another, and every step of the latest stretch of them."""
+    """Consecutive frames, and every step of the latest ones."""
 
     def __init__(self) -> None:
         self._frames: deque[Frame] = deque(maxlen=FRAMES)
         self.recent: Block | None = None
 
     def add(self, frame: Frame) -> None:
-        """Append a frame; after a leap begin anew."""
+        """Append a frame; restart after a discontinuity."""
         if self._frames and not _follows(frame, self._frames[-1]):
             self._frames.clear()
         if frame.since.steps or not self._frames:
@@ -32,7 +32,7 @@ class Trail:
             self._frames.popleft()
 
     def note(self, block: Block) -> None:
-        """Append steps; after a leap begin anew."""
+        """Append steps; restart after a discontinuity."""
         parts = [block.tail(STEPS)]
         if self.recent is not None and self.recent.end == parts[0].start:
             parts.insert(0, self.recent)
@@ -48,17 +48,17 @@ class Trail:
 
 
 class Seen:
-    """What is shown, one Frame after another. While nothing moves a Frame keeps the summary of the
-    steps that led to it, so that a page that skips pictures is told of them all the same.
+    """The shown Frames, one after another. While nothing moves, a Frame keeps the summary of the
+    steps that led to it, so that a page that skips snapshots still gets it.
     """
 
     def __init__(self) -> None:
         self.leaps = 0
-        """How often what was shown did not follow on what was shown before."""
+        """Number of discontinuities in the shown frames."""
         self._last: Frame | None = None
 
     def see(self, frame: Frame) -> Frame:
-        """The Frame that is shown next, as it is to be seen."""
+        """Process the next Frame; returns the Frame to show."""
         last = self._last
         if last is None or not _follows(frame, last):
             self.leaps += 1
@@ -68,7 +68,7 @@ class Seen:
         return frame
 
     def forget(self) -> None:
-        """What is shown next has nothing to do with what was shown."""
+        """Mark a discontinuity before the next frame."""
         self._last = None
 
 
@@ -77,13 +77,13 @@ def _follows(frame: Frame, last: Frame) -> bool:
 
 
 def moved(frames: Sequence[Frame]) -> list[Frame]:
-    """Those that stand for steps; a picture of a run that rests stands for none."""
+    """The frames that represent steps; frames of a paused run represent none."""
     return [f for f in frames if f.since.steps]
 
 
 def alike(frames: Sequence[Frame]) -> list[Frame]:
-    """The latest of those, as far as none stands for many more steps than the newest: beside the
-    thousands of a fast run, single steps after it would not be seen.
+    """The latest of these frames, as long as none represents many more steps than the newest:
+    single steps would not be visible beside thousands.
     """
     frames = moved(frames)
     far = [k for k, f in enumerate(frames) if f.since.steps > MANY * frames[-1].since.steps]

@@ -1,7 +1,7 @@
-"""When a network learns no more: its outputs are constant, its neurons saturated, its weights gone.
+"""Signs that learning has stopped: constant outputs, saturated neurons, non-finite weights.
 
-Of the watched lane every step is known. Of the others the potentials are looked at once a picture,
-which is enough to tell: a neuron fires with probability σ(v), so the mean of σ(v) is its rate.
+Every step of the watched lane is known. The potentials of other lanes are sampled once a snapshot,
+which is enough: a neuron fires with probability σ(v), so the mean of σ(v) is its rate.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ CONSTANT = 0.995
 SATURATED = 12.0
 """|v| beyond which a neuron's spikes are certain, to about 1 in 10⁵."""
 ENOUGH_STEPS = 20_000
-"""Long enough for many patterns or many falls."""
+"""Enough steps for many patterns or many falls."""
 ENOUGH_LOOKS = 60
-"""So many pictures: about two seconds."""
+"""Number of snapshots: about two seconds."""
 
 
 class Sign(Enum):
-    """Of a network that learns no more."""
+    """A sign that a network has stopped learning."""
 
-    GONE = "the weights have grown beyond all numbers"
+    GONE = "the weights are no longer finite"
     CONSTANT = "all outputs are constant"
     SATURATED = "more than half of the neurons are saturated"
 
 
 def sign(finite: bool, outputs: Array, low: Array, high: Array) -> Sign | None:
-    """The sign in one lane, if there is one.
+    """The sign in one lane, or None.
 
     `finite` says whether its weights are, `outputs` at which rates the output neurons fire, `low`
     and `high` (neurons,) between which their potentials were.
@@ -62,18 +62,18 @@ class _Looks:
 
 
 class StuckLanes:
-    """Which lanes of a learner are stuck, found out a stretch of the run at a time."""
+    """The stuck lanes of a learner, determined chunk by chunk."""
 
     def __init__(self) -> None:
         self._looks: _Looks | None = None
         self.lanes: tuple[int, ...] = ()
 
     def forget(self) -> None:
-        """Begin anew, with another run."""
+        """Restart with another run."""
         self._looks, self.lanes = None, ()
 
     def look(self, learner: Learner) -> None:
-        """Look at the learner as it is now, if it has several lanes."""
+        """Sample the learner's current state, if it has several lanes."""
         if learner.lanes == 1:
             return
         potential, outputs = (

@@ -1,4 +1,4 @@
-"""What a worker publishes for views: all that may be shown, at one moment."""
+"""The snapshot that a worker publishes: everything that views can show at one time."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class RunState:
 
     @property
     def lanes(self) -> int:
-        """How many replicas run side by side."""
+        """Number of replicas that run side by side."""
         return self.curves.lanes
 
 
@@ -95,7 +95,7 @@ class View:
 
 @dataclass(frozen=True)
 class Pacing:
-    """How fast it goes; what stopped it, and what a command still waits for."""
+    """The speed, the error that stopped the run, and the preparation that a command waits for."""
 
     paused: bool
     speed: Speed
@@ -118,7 +118,7 @@ class Findings:
 
 @dataclass(frozen=True)
 class RecordingState:
-    """The recording that is being made, or was made last."""
+    """The current recording, or the last one."""
 
     status: Status | None
     is_on: bool
@@ -128,7 +128,7 @@ class RecordingState:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """All that a view may show, at one moment; `made_at` is time.monotonic()."""
+    """Everything that a view can show at one time; `made_at` is time.monotonic()."""
 
     number: int
     made_at: float

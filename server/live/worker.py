@@ -1,7 +1,7 @@
-"""The one thread that touches the learner: it takes commands and gives pictures.
+"""The only thread that touches the learner: it takes commands and publishes snapshots.
 
-Commands come through an inbox and act within a few hundredths of a second, whatever the speed.
-About 30 times a second it publishes a Picture; whoever draws takes the latest and may skip.
+Commands come through a queue and act within a few hundredths of a second, whatever the speed. About
+30 times a second it publishes a snapshot; views take the latest and may skip some.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ from hebbviz.server.run.history import Totals
 from hebbviz.server.web.rate_limits import TimeShare
 
 PICTURES_PER_SECOND = 32.0
-"""A little over 30, so that 30 that differ reach the page."""
+"""Slightly over 30, so that 30 different snapshots reach the page."""
 
 COMMANDS_SHARE, COMMANDS_SECONDS = 1 / 3, 1.0
-"""Commands take this part of the time at most, and at first so long, while the run is to go on."""
+"""Largest share of the time for commands, and a first allowance in seconds, while the run is due.
+"""
 
 
 class Worker(threading.Thread):
-    """Steps a run, takes commands with `send`, gives the latest Picture with `wait_for`."""
+    """Steps a run, takes commands with `send`, returns the latest snapshot with `wait_for`."""
 
     def __init__(self, session: Session) -> None:
         super().__init__(name="hebbviz worker", daemon=True)
@@ -41,7 +42,7 @@ class Worker(threading.Thread):
         self._for_commands = TimeShare(COMMANDS_SHARE, COMMANDS_SECONDS)
 
     def send(self, command: Command) -> None:
-        """Ask for something; from any thread, never blocks."""
+        """Send a command; from any thread, never blocks."""
         self._inbox.put(command)
 
     def stop(self) -> None:
@@ -53,7 +54,7 @@ class Worker(threading.Thread):
         return self._snapshot
 
     def wait_for(self, number: int, timeout: float) -> Snapshot | None:
-        """The latest picture once its number is above `number`, or None after the timeout."""
+        """The latest snapshot once its number is above `number`, or None after the timeout."""
         with self._fresh:
             self._fresh.wait_for(lambda: self._newer(number), timeout)
             return self._snapshot if self._newer(number) else None
@@ -80,16 +81,16 @@ class Worker(threading.Thread):
                 if said != self._session.error:
                     traceback.print_exc()
                     self._session.stop(said)
-                self._stopping.wait(0.2)  # what fails on and on must not take the machine
+                self._stopping.wait(0.2)  # repeated failures must not use up the CPU
 
     def _is_due(self) -> bool:
-        """Whether there is something to be stepped before the next picture."""
+        """Whether steps are due before the next snapshot."""
         return self._inbox.preparation is None and self._session.is_due()
 
     def _obey(self, wait: float) -> None:
-        """Carry out what has come in; where nothing has, wait for it.
+        """Carry out waiting commands, or wait for one.
 
-        However many commands come, the run goes on for most of the time.
+        However many commands come, the run gets most of the time.
         """
         if self._is_due() and not self._for_commands.is_left(time.monotonic()):
             return
@@ -117,7 +118,7 @@ class Worker(threading.Thread):
             self._fresh.notify_all()
 
     def _take_snapshot(self, number: int, seconds: float) -> Snapshot:
-        """All that may be shown now, so long after the snapshot before."""
+        """The current snapshot, `seconds` after the previous one."""
         session, preparation = self._session, self._inbox.preparation
         live = session.run.frame()
         session.find_out(live)

@@ -1,4 +1,4 @@
-"""From a Frame to what is seen of the network: pure functions from numbers to colours and sizes."""
+"""The network's appearance in a Frame: pure functions from numbers to colours and sizes."""
 
 from __future__ import annotations
 

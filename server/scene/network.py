@@ -1,6 +1,4 @@
-"""The network in 3D. It is given arrays and draws them; what they mean is decided in
-`appearance`.
-"""
+"""The network in 3D. It draws arrays; `appearance` decides their meaning."""
 
 from __future__ import annotations
 
@@ -20,11 +18,11 @@ from hebbviz.topology import Topology
 Array = NDArray[np.float64]
 
 MOST_LABELS, FEW_LABELS = 16, 4
-"""So many inputs have names at most; no more than a few have room for larger ones side by side."""
+"""Most inputs with names; only a few have room for larger names side by side."""
 BAR = 0.75
 """Width of an input's bar, as a share of its diameter."""
 OUT_OF_SIGHT = (0.0, 0.0, -1e4)
-"""For a label that says nothing: one made invisible does not come back in viser's page."""
+"""Position of an empty label: viser's page does not show a label again once it was invisible."""
 TRACE_WIDTH = 0.05
 
 
@@ -91,17 +89,17 @@ class NetworkScene:
         self._changes.batched_scales = self._tube_scales(radius[self.drawn])
 
     def draw_pulse(self, share: float, color: Rgb) -> None:
-        """The reward on its way through the network, `share` of the way in 0..1; 0 hides."""
+        """Draw the reward pulse at `share` of its way through the network, 0..1; 0 hides it."""
         reach = float(np.ptp(self._place.units, axis=0).max()) + 1.5
         self._pulse.batched_colors = palette.linear(np.array([color], dtype=np.uint8))
         self._pulse.batched_scales = _f32(np.full((1, 3), share * reach))
 
     def name(self, title: str) -> None:
-        """What tells the network from another, over all that is said of it."""
+        """Set the network's title, above its other labels."""
         self._say(self._title, title, 2)
 
     def say(self, reward: str, world: str) -> None:
-        """What the labels over the network say of the reward and of the world."""
+        """Set the labels over the network: the reward and the world."""
         self._say(self._reward_label, reward, 0)
         self._say(self._world_label, world, 1)
 

@@ -1,4 +1,4 @@
-"""A reward seen as it arrives: a pulse through the network, and the weight changes it makes."""
+"""The arrival of a reward: a pulse through the network, and its weight changes."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from hebbviz.sims.figures.palette import Rgb
 Array = NDArray[np.float64]
 
 PULSE_PICTURES = 14
-"""Pictures that the pulse takes through the network."""
+"""Frames that the pulse takes through the network."""
 AFTERGLOW_PICTURES = 26
-"""Pictures for which the weight changes stay to be seen."""
+"""Frames for which the weight changes stay visible."""
 LONG_AGO = 10_000
 QUIET_PICTURES = 25
 """Rewards closer together than this make no pulse each; their weight changes are shown."""
@@ -29,9 +29,9 @@ GLOW, FAINT_GLOW = 1.9, 0.7
 WORDS_SECONDS = 0.3
 """Words that change faster than this cannot be read."""
 STANDS_OUT = 10.0
-"""Where a rule sends something at every step, a reward is so many times as large as the last."""
+"""If a rule sends a signal at every step, a reward is this many times as large as the last one."""
 FEW_STEPS = 25
-"""With more steps in a picture, rewards are told as a rate, not as events."""
+"""With more steps in a frame, rewards are shown as a rate, not as events."""
 
 
 class Pulse:
@@ -121,7 +121,7 @@ class Pulse:
         scene.draw_pulse(share if share < 1.0 else 0.0, self._color)
 
     def _words(self, frame: Frame) -> str:
-        """What the label over the network says; empty while nothing is to be told."""
+        """The label over the network; empty if there is nothing to show."""
         since = frame.since
         if since.steps > FEW_STEPS:
             return f"r: {since.tally.reward / since.steps:+.3f} per step"

@@ -1,4 +1,4 @@
-"""Who may come in: under which names a server is reached, from which pages, with which token.
+"""Access control: by the names of a server, the pages that send requests, and a token.
 
 A server on this machine is reached by every website that the user visits, and beyond it by
 everybody in the network. So a request must be addressed to a name of this server (a foreign site
@@ -45,7 +45,7 @@ class Role(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Access:
-    """What the user says about who may come in.
+    """The user's access options.
 
     Args:
         allow_hosts: Names as NAME or NAME:PORT under which the server is reached besides its own,
@@ -96,7 +96,7 @@ class Entrance:
         self._bound = host_names.bound_to(host)
         self._allowed = [allowed_name(name) for name in access.allow_hosts]
         self.is_open = bool(access.allow_hosts) or not host_names.is_loopback(host)
-        """Whether others than this machine are meant to reach it."""
+        """Whether other machines are meant to reach it."""
         self.needs_token = self.is_open if access.token is None else access.token
         self._owner, self._reader = (secrets.token_urlsafe(TOKEN_BYTES) for _ in range(2))
         self._tickets: list[str] = []
@@ -107,11 +107,11 @@ class Entrance:
         return self._with(address, self._owner if role is Role.OWNER else self._reader)
 
     def warning(self, what: str) -> str | None:
-        """Says that others can do `what`, where nothing keeps them from it."""
+        """A warning that others can do `what`, if nothing prevents them."""
         if not self.is_open or self.needs_token:
             return None
         return (
-            "warning: this page can be reached from other machines and needs no token: whoever "
+            "warning: other machines can reach this page, which needs no token: whoever "
             f"reaches it can {what}"
         )
 
@@ -174,7 +174,7 @@ class Entrance:
         kept = max(map(self._role_of, self._kept(get_all("Cookie"))), default=Role.NOBODY)
         role, token = max(map(self._redeemed, given), default=(Role.NOBODY, ""))
         if max(role, kept) is Role.NOBODY:
-            line = "it has no token, or that of another server; open the link that was printed"
+            line = "it has no token, or another server's; open the link that was printed"
             raise Refused("token", f"refused a request: {line} as this one started")
         if role <= kept:  # also: a link to look never takes away what a browser may do
             return Passage(kept)

@@ -1,4 +1,4 @@
-"""What a page may send: which messages of viser's, of what form, and which values for a widget.
+"""Admission of a page's messages: which of viser's, in what form, with which widget values.
 
 Everything here is a pure check. What does not pass raises `Refused`, with one line for the user.
 """

@@ -1,4 +1,4 @@
-"""How many may be connected at once, and how many may come in a second."""
+"""Limits of simultaneous connections, and of new ones per second."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page sends, at the pace of a hand: the last of each value wins, and presses are counted.
+"""Limits a page's messages to manual speed: the last of each value wins, and presses are counted.
 
 Nothing here knows of clocks or sockets. All times are in seconds, of any clock.
 """

@@ -1,4 +1,4 @@
-"""What those who came in to look may send, and what they are told when they try to do more.
+"""Read-only visitors: the messages that they may send, and the notice if they try more.
 
 A reader's tab has all widgets of the page, but none of them moves anything except what is the
 tab's own: its camera, what it has picked. It alone is told, and shown what holds.
@@ -22,8 +22,8 @@ from hebbviz.server.web.admission import (
 )
 from hebbviz.server.web.refusal import Refused
 
-LINE = "this link is for looking only: nothing was changed"
-STANDING = "**You are looking only.** *Camera and picks are yours; the run is another's.*"
+LINE = "this link is read-only: nothing was changed"
+STANDING = "**Read-only.** *Camera and picks are yours; somebody else controls the run.*"
 SETTLE_SECONDS = 1.0
 NOTICE_SECONDS = 4.0
 
@@ -63,5 +63,5 @@ class Reader:
 
 
 def welcome(client: viser.ClientHandle) -> None:
-    """Say on a reader's panel what it is."""
+    """Show on a reader's panel that it is read-only."""
     client.gui.add_markdown(STANDING, order=-1.0)
