@@ -198,7 +198,7 @@ def make_all(folder: Path) -> None:
                 for task in TASKS.names:
                     for command in (Choose(task), *something_to_see(task), Pause(paused=False)):
                         worker.send(command)
-                    wait_until(lambda task=task: snapshot(worker).task_name == task, 20.0)
+                    wait_until(lambda task=task: snapshot(worker).run.task_name == task, 20.0)
                     page.wait_for_timeout(8000)
                     for theme in ("light", "dark"):
                         set_theme(page, theme)
