@@ -1,4 +1,4 @@
-"""Find a task or a rule by its name, or in a user's file given as `path.py:Name`."""
+"""Loading of tasks and rules by name, or from a user's file by `path.py:Name`."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from hebbviz.task.presets import Preset, UnknownPreset
 T = TypeVar("T")
 
 MakeTask = Callable[[str, str | None], Task]
-"""`make_task`, or a function that does the same for tasks of its own."""
+"""`make_task`, or a function that does the same for other tasks."""
 
 TWINS = {"pendulum": ("hebbviz.sims.worlds.pendulum.compiled", "PendulumLanes")}
 """Built-in tasks that Python steps, and the module and the class of the same world compiled."""
 
 _NEEDED = ("restart", "transition", "observation", "reward")
-"""Methods that a task has to have."""
+"""Methods that a task must define."""
 
 
 def make_task(name: str, preset: str | None = None) -> Task:
-    """The task called `name`, at a preset (default its first), its switches set as it says.
+    """Make the task called `name` at a preset, by default its first; a preset may set switches.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def compiled_twin(task: Task) -> Task:
 
 
 def load(path: str | Path) -> Learner:
-    """The learner that `save` or `hebbviz train --save` saved, with its task.
+    """Load a learner that `save` or `hebbviz train --save` wrote, with its task.
 
     Raises
     ------
@@ -72,10 +72,10 @@ def load(path: str | Path) -> Learner:
 
 
 def load_rule(spec: str) -> Rule:
-    """The rule that `NAME` or `path.py:Name` says, with `:parameter=value,...` after it or not.
+    """Make the rule of `NAME` or `path.py:Name`, optionally with `:parameter=value,...` appended.
 
-    One of a user's file is known to `make_rule` by its own name from then on. Raises as
-    `make_task` does.
+    A rule from a user's file is registered, so `make_rule` then knows its name. Raises the same
+    errors as `make_task`.
     """
     _check_named(spec, Rule)
     match = re.fullmatch(r"(.+\.py:\w+):?(.*)", spec)
@@ -112,16 +112,16 @@ def _make(cls: type[Task], name: str, preset: str | None) -> Task:
 
 
 def _check_all(what: str, found: Any, kind: type) -> None:
-    """Raise ValueError unless these are a tuple of one kind, or a list."""
+    """Raise ValueError unless `found` is a tuple or list of objects of type `kind`."""
     if not isinstance(found, (tuple, list)) or not all(isinstance(f, kind) for f in found):
         raise ValueError(
-            f"{what} must be a tuple of {kind.__name__}, with a comma where it has but one, got "
+            f"{what} must be a tuple of {kind.__name__}, with a comma even if it has only one, got "
             f"{found!r:.60}"
         )
 
 
 def _check_methods(what: str, task: Task) -> None:
-    """Raise ValueError for a method that is not there, or that cannot take what it is given."""
+    """Raise ValueError if a required method is missing or does not accept its arguments."""
     for name, plain in vars(Task).items():
         if not isinstance(plain, FunctionType) or name.startswith("_"):
             continue
@@ -140,7 +140,7 @@ def _check_methods(what: str, task: Task) -> None:
 
 
 def _check_named(spec: str, base: type) -> None:
-    """Raise ValueError for a file without the name of a class, and say which it has."""
+    """Raise ValueError if a spec names a file but no class; the message lists its classes."""
     if not spec.endswith(".py"):
         return
     what = base.__name__.lower()
@@ -153,7 +153,7 @@ def _check_named(spec: str, base: type) -> None:
 
 
 def _class_from_file(spec: str, base: type[T]) -> type[T]:
-    """A task or a rule of the user's own."""
+    """Return a task or rule class from a user's file."""
     file, _, class_name = spec.rpartition(":")
     what, path = f"{base.__name__.lower()} {spec}", Path(file)
     if not path.is_file():
@@ -169,7 +169,7 @@ def _class_from_file(spec: str, base: type[T]) -> type[T]:
 
 
 def _is_own(found: object, base: type, module: ModuleType) -> bool:
-    """Whether this is a class made from `base` in that module."""
+    """Whether `found` is a subclass of `base` that the module defines."""
     is_made_from = isinstance(found, type) and issubclass(found, base)
     return is_made_from and found.__module__ == module.__name__
 
@@ -191,13 +191,15 @@ def _run_file(path: Path, what: str) -> ModuleType:
 
 @contextlib.contextmanager
 def _beside(file: Path) -> Iterator[None]:
-    """What stands beside a file can be imported in here, as Python has it for a file that it runs;
-    later, by its functions, what no other module goes before.
+    """Allow imports from a file's folder, as Python does for a script.
+
+    In this context the folder comes first in the search path; afterwards, for imports inside its
+    functions, last.
     """
     folder = str(file.parent)
     for name, path in neighbours(file).items():
         loaded = getattr(sys.modules.get(name), "__file__", None)
-        if loaded in _own_modules and Path(loaded) != path:  # of another file of the user's own
+        if loaded in _own_modules and Path(loaded) != path:  # from another user's file
             del sys.modules[name]
         _own_modules.add(str(path))
     before = list(sys.path)
@@ -209,7 +211,7 @@ def _beside(file: Path) -> Iterator[None]:
 
 
 _own_modules: set[str] = set()
-"""Files of modules that stand beside a user's own."""
+"""Files of modules in the folders of users' files."""
 
 
 def _failed(what: str, error: Exception) -> TaskError:

@@ -1,5 +1,6 @@
-"""What a user's own file is given as: path.py:Name, of a rule with :parameter=value,... after it or
-not. It is not looked into here.
+"""Specs of users' files: path.py:Name, for a rule optionally followed by :parameter=value,...
+
+This module does not import the files.
 """
 
 from __future__ import annotations
@@ -11,13 +12,13 @@ from pathlib import Path
 
 
 def own_file(spec: str) -> tuple[Path | None, str]:
-    """The file of a spec, and what stands after it; a name alone has none, and is all there is."""
+    """Split a spec into its file and the rest; for a plain name return None and the name."""
     path, own, rest = spec.partition(".py:")
     return (Path(f"{path}.py"), rest) if own else (None, spec)
 
 
 def own_files(task: str | None, rule: str | None) -> dict[str, Path]:
-    """The whole paths by what they were given as: 'task my.py:Name', 'rule my.py:Name'."""
+    """Return the absolute paths by their specs: 'task my.py:Name', 'rule my.py:Name'."""
     found = {}
     for what, spec in (("task", task), ("rule", rule)):
         file, _ = own_file(spec or "")
@@ -27,8 +28,9 @@ def own_files(task: str | None, rule: str | None) -> dict[str, Path]:
 
 
 def neighbours(file: Path) -> dict[str, Path]:
-    """The modules beside a file that it imports, and those that they import, by name; a package
-    is its `__init__.py`.
+    """Return the modules in a file's folder that it imports, directly or indirectly, by name.
+
+    A package is represented by its `__init__.py`.
     """
     found: dict[str, Path] = {}
     waiting = [file]
@@ -43,7 +45,7 @@ def neighbours(file: Path) -> dict[str, Path]:
 
 
 def _imported(file: Path) -> Iterator[str]:
-    """Names of the modules that a text imports; of one that cannot be read, none."""
+    """Yield the names of the modules that a file imports; none if it cannot be read."""
     tree = ast.Module([], [])
     with contextlib.suppress(OSError, SyntaxError, ValueError):
         tree = ast.parse(file.read_bytes())

@@ -1,8 +1,8 @@
-"""Experiments: many independent lanes of a task, on all cores or over a Dask cluster.
+"""Experiments: many independent lanes of a task, on all cores or on a Dask cluster.
 
-`plan` says what is run, `work_unit` is the piece of it that a worker does, `workers` who does it,
-`store` keeps what was done on disk, and `run` brings it to its end: interrupted at any moment, it
-goes on from there. What comes of it are `Curves`.
+`plan` describes the runs, `work_unit` is one worker's part, `workers` provides threads, processes
+or a cluster, `store` saves completed work on disk, and `run` completes a plan, also one that was
+interrupted. The results are `Curves`.
 """
 
 from hebbviz.sims.experiments.plan import Curves, Plan, figures_of, options_of

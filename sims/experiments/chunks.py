@@ -1,4 +1,4 @@
-"""A long run cut into stretches of about the same time, whatever a step costs."""
+"""Chunks: a long run is cut into parts of about equal duration, whatever a step costs."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from collections.abc import Iterator
 
 
 def stretches(steps: int, seconds: float) -> Iterator[int]:
-    """Sizes that add up to `steps`, for a caller that runs each one before it takes the next.
+    """Yield sizes that add up to `steps`; the caller runs each before it takes the next.
 
-    They begin at 1 and are doubled or halved until one takes about `seconds`, at most twice that.
+    The size starts at 1 and is doubled or halved until a chunk takes about `seconds`, at most twice
+    that.
     """
     size = 1
     while steps > 0:

@@ -1,4 +1,4 @@
-"""What an experiment runs, and what comes of it."""
+"""The plan of an experiment, and its results."""
 
 from __future__ import annotations
 
@@ -23,29 +23,33 @@ from hebbviz.task.base import Tally, Task
 Array = NDArray[np.float64]
 
 LONG = 5 * 10**9
-"""Steps of one lane from which on it pays to compile for the one network of a plan."""
+"""Steps times lanes from which compiling for one network alone pays off."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Lanes of one task, from their start, in equal segments: the points of a learning curve.
+    """Lanes of one task, run from step 0 in equal segments, which are points of a learning curve.
 
-    Lane k of a seed is the same run in every plan, whatever lanes stand beside it (unless the rule
-    lets lanes touch each other). A plan can be pickled, and as JSON it is the name under which
-    what was done is kept.
+    Lane k of a seed is the same run in every plan, whatever the other lanes are, unless the rule
+    couples lanes. A plan can be pickled; its JSON form identifies the saved work.
 
     Parameters
     ----------
-    task, preset : by name, or a user's own as path.py:Name, which workers elsewhere look for at
-        the same whole path.
+    task, preset : by name, or a user's own as path.py:Name; remote workers look for the file at
+        the same absolute path.
     hidden, beta, gamma : None for those of the task and its preset.
-    lanes : how many replicas, from number `first_lane` on.
-    segments, segment_steps : points of the curve, and steps of each.
-    evaluate : a frozen copy is evaluated before the first segment and after every so many; 0 for
-        never.
-    evaluate_at : and at these steps, each the end of a segment.
-    options : whatever else a `Learner` takes by keyword; numbers and strings, the rule as
-        `load_rule` reads it.
+    lanes : number of replicas; `first_lane` is the number of the first.
+    segments, segment_steps : number of points of the curve, and steps of each.
+    evaluate : interval, in segments, between evaluations of a frozen copy, which start before the
+        first segment; 0 for none.
+    evaluate_at : further steps of evaluation, each the end of a segment.
+    options : other keyword arguments of `Learner`, as numbers and strings; `load_rule` reads the
+        rule.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range.
     """
 
     task: str
@@ -69,22 +73,29 @@ class Plan:
 
     @property
     def steps(self) -> int:
-        """Steps of each lane in all."""
+        """Total steps of each lane."""
         return self.segments * self.segment_steps
 
     def make_task(self) -> Task:
-        """The task at its preset, compiled where it can be; raises ValueError and TaskError as
-        `make_task` does.
+        """Make the task at its preset, compiled if possible.
+
+        Raises ValueError and TaskError, as `loading.make_task` does.
         """
         return compiled_twin(make_task(self.task, self.preset))
 
     def rule(self) -> Rule:
-        """The rule of the options, or of the task's preset; raises as `load_rule`, `make_task`."""
+        """Make the rule of the options or of the task's preset.
+
+        Raises the same errors as `load_rule` and `make_task`.
+        """
         spec = self.options.get("rule") or self.make_task().preset.rule
         return _rule(spec, _text(spec))
 
     def learner(self, first_lane: int, lanes: int) -> Learner:
-        """Some of the lanes at their start; raises ValueError and TaskError as `Learner` does."""
+        """Make a learner of some lanes at step 0.
+
+        Raises ValueError and TaskError, as `Learner` does.
+        """
         return Learner(
             self.make_task(),
             hidden=self.hidden,
@@ -98,14 +109,14 @@ class Plan:
         )
 
     def for_workers(self) -> Self:
-        """This plan with the whole paths of a user's own files, for workers in other folders."""
+        """Return this plan with absolute paths of users' files, for workers in other folders."""
         options = dict(self.options)
         if "rule" in options:
             options["rule"] = _whole(options["rule"])
         return replace(self, task=_whole(self.task), options=options)
 
     def own(self) -> dict[str, Path]:
-        """The user's own files in it, as `own_files` says."""
+        """Return the users' files of this plan, as `own_files` does."""
         return own_files(self.task, self.options.get("rule"))
 
     def evaluates_at(self, step: int) -> bool:
@@ -117,10 +128,10 @@ class Plan:
         return asdict(self)
 
     def digest(self) -> str:
-        """Tells this plan from all others, under this version and with these texts of a user's task
-        and rule, wherever their files are.
+        """Return 16 hexadecimal digits that identify this plan.
 
-        Raises OSError if such a file cannot be read.
+        They depend on hebbviz's version and on the text, not the place, of users' files. Raises
+        OSError if such a file cannot be read.
         """
         options = dict(self.options)
         if "rule" in options:
@@ -132,13 +143,14 @@ class Plan:
 
 @cache
 def _rule(spec: str, _text: bytes) -> Rule:
-    """Made once for every text of its file: what is compiled of it is kept with its class."""
+    """Load a rule once per text of its file, because compiled code belongs to its class."""
     return load_rule(spec)
 
 
 def _text(spec: str) -> bytes:
-    """Of a user's own file and the modules beside it that it imports, in whatever encoding; of what
-    has none, nothing.
+    """Return the bytes of a user's file and of the modules in its folder that it imports.
+
+    The result is empty for a spec without a file.
     """
     file, _ = own_file(spec)
     if file is None:
@@ -148,13 +160,13 @@ def _text(spec: str) -> bytes:
 
 
 def _content(spec: str) -> list[str]:
-    """What a spec says, wherever its file is."""
+    """Return the class name and the text of a spec, independent of the file's place."""
     _, name = own_file(spec)
     return [name, _text(spec).decode(errors="surrogateescape")]
 
 
 def _whole(spec: str) -> str:
-    """A spec with the whole path of its file."""
+    """Return a spec with the absolute path of its file."""
     file, name = own_file(spec)
     return spec if file is None else f"{file.resolve()}:{name}"
 
@@ -167,18 +179,19 @@ class _Asked(Protocol):
 
 
 def options_of(asked: _Asked) -> dict[str, Any]:
-    """A plan's options for the rule and the fall of γ that were asked for; None is the preset's."""
+    """Return a plan's options for the requested rule and decay time; None leaves the preset's."""
     options = {"rule": asked.rule, "fall": asked.fall}
     return {name: value for name, value in options.items() if value is not None}
 
 
 @dataclass(frozen=True)
 class Curves:
-    """What came of a plan, lane by lane.
+    """The results of a plan for each lane.
 
     `end` (segments,) is the step at the end of each segment; `reward`, `broadcast` and `ended`
-    (lanes, segments) are totals over the segment, of `steps` each. Frozen copies were evaluated at
-    the steps `evaluated_at` (k,); `figures` (lanes, k) by the names of `Task.evaluate`.
+    (lanes, segments) are totals over segments of `steps` steps. Frozen copies were evaluated at
+    the steps `evaluated_at` (k,); `figures` holds the results (lanes, k) by the keys of
+    `Task.evaluate`.
     """
 
     end: NDArray[np.int64]
@@ -190,14 +203,14 @@ class Curves:
     figures: Mapping[str, Array]
 
     def tally(self, lane: int, segments: slice = slice(None)) -> Tally:
-        """Totals of one lane over some of the segments, by default all."""
+        """Return the totals of one lane over some segments, by default all."""
         reward, broadcast, ended = (
             a[lane, segments] for a in (self.reward, self.broadcast, self.ended)
         )
         return Tally(self.steps * len(reward), reward.sum(), broadcast.sum(), ended.sum())
 
     def scores(self, task: Task) -> dict[str, Array]:
-        """The figures of the task's measure in every segment, each (lanes, segments)."""
+        """Return the figures of the task's measure in every segment, each (lanes, segments)."""
         lanes, segments = self.reward.shape
         return figures_of(
             task,
@@ -205,23 +218,23 @@ class Curves:
         )
 
     def last(self, part: float = 0.2) -> list[Tally]:
-        """Totals of each lane over the last part of its segments, at least one."""
+        """Return the totals of each lane over the last part of the segments, at least one."""
         count = max(1, round(part * len(self.end)))
         return [self.tally(lane, slice(-count, None)) for lane in range(len(self.reward))]
 
 
 def figures_of(task: Task, tallies: Sequence[Sequence[Tally]]) -> dict[str, Array]:
-    """The figures of the task's measure, each of the shape of `tallies`, (lanes, n)."""
+    """Return the figures of the task's measure, each with the shape of `tallies`, (lanes, n)."""
     found = [[task.measure.figures(task.score(tally)) for tally in lane] for lane in tallies]
     return {key: np.array([[f[key] for f in lane] for lane in found]) for key in task.measure.keys}
 
 
 def joined(curves: Sequence[Curves], lanes: int) -> Curves:
-    """Curves of the same steps, their lanes one after another: so many, or it raises ValueError."""
+    """Join the lanes of curves over the same steps; raise ValueError unless there are `lanes`."""
     first = curves[0]
     found = sum(len(c.reward) for c in curves)
     if found != lanes:
-        raise ValueError(f"curves of {lanes} lanes were to be joined, got {found}")
+        raise ValueError(f"the curves must have {lanes} lanes together, got {found}")
 
     def stacked(name: str) -> Array:
         return np.concatenate([getattr(c, name) for c in curves])

@@ -1,7 +1,7 @@
-"""Plans brought to their end by workers, and kept on disk at every step of the way.
+"""Execution of plans by workers; completed work is saved on disk.
 
-The driver holds every tile and gives it to a worker for a few seconds at a time. Interrupted, it
-waits for the shares under way, keeps them, and says so; killed, it loses them and nothing else.
+The driver holds all tiles and gives each to a worker for a few seconds at a time. When interrupted,
+it waits for the running work units and saves them; when killed, only they are lost.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from hebbviz.sims.experiments.work_unit import Tile, check_unchanged
 from hebbviz.sims.experiments.workers import Workers
 
 TILE = 64
-"""Most lanes of a tile: the compiled loop is fastest with so many."""
+"""Most lanes of a tile, with which the compiled loop is fastest."""
 
 _LOOK_SECONDS = 0.1
 
 
 class Interrupted(Exception):
-    """The run was asked to stop, and what was done is kept."""
+    """The run was stopped; completed work is saved."""
 
 
 def run(
@@ -37,22 +37,22 @@ def run(
     stop: threading.Event | None = None,
     progress: Callable[[float], object] | None = None,
 ) -> Curves:
-    """Bring a plan to its end, from where `folder` has it.
+    """Complete a plan, continuing from the work saved in `folder`.
 
-    What is done is kept in `folder`, in a folder of the plan's own; None keeps nothing. Once
-    `stop` is set, the shares under way are ended soon, waited for and kept. `progress` is called
-    with the fraction that is done, from 0 to 1, at the start and whenever a share is.
+    Completed work is saved in a subfolder of `folder`; None saves nothing. Once `stop` is set,
+    running work units end soon and are saved. `progress` is called with the completed fraction,
+    from 0 to 1, at the start and after each work unit.
 
     Raises
     ------
     Interrupted
-        Once `stop` is set and what was done is kept.
+        Once `stop` is set and completed work is saved.
     TaskError, ValueError
-        If the task fails or does not take what the plan gives it, or its file is edited meanwhile.
+        If the task fails or rejects the plan's settings, or its file is edited during the run.
     WorkersFailed
         If the workers are gone, or run another version of the program.
     InputError, OSError
-        If what was done cannot be kept, or what was kept cannot be read.
+        If completed work cannot be saved, or saved work cannot be read.
     """
     return run_all([plan], workers, folder=folder, stop=stop, progress=progress)[0]
 
@@ -65,7 +65,7 @@ def run_all(
     stop: threading.Event | None = None,
     progress: Callable[[float], object] | None = None,
 ) -> list[Curves]:
-    """`run` for several plans at once: the workers go from one to the next without a pause."""
+    """Run several plans at once; workers move from one to the next without a pause."""
     return [
         done.curves()
         for done in finish(plans, workers, folder=folder, stop=stop, progress=progress)
@@ -80,7 +80,7 @@ def finish(
     stop: threading.Event | None = None,
     progress: Callable[[float], object] | None = None,
 ) -> list[Done]:
-    """`run_all`, for the learners at the end as well."""
+    """Do the same as `run_all`; the results also give the learners at the end."""
     driver = _Driver(plans, workers, folder)
     driver.run(threading.Event() if stop is None else stop, progress or (lambda _: None))
     return driver.done()
@@ -88,25 +88,26 @@ def finish(
 
 @dataclass(frozen=True)
 class Done:
-    """A plan at its end."""
+    """A completed plan."""
 
     plan: Plan
     tiles: tuple[Tile, ...]
 
     def curves(self) -> Curves:
+        """Return the results of all lanes."""
         return joined([tile.curves(self.plan) for tile in self.tiles], self.plan.lanes)
 
     def start(self, lane: int) -> Learner:
-        """A learner of one lane as it was at the start; the first lane of the plan is 0.
+        """Return the learner of one lane at step 0, counting the plan's lanes from 0.
 
-        Where lanes touch each other, it has all of them.
+        If the rule couples lanes, the learner has all of them.
         """
         if self.plan.rule().lanes_touch:
             return self.plan.learner(self.plan.first_lane, self.plan.lanes)
         return self.plan.learner(self.plan.first_lane + lane, 1)
 
     def learner(self, lane: int) -> Learner:
-        """The same as it is at the end."""
+        """Return the learner of one lane at the end of the plan, as `start` does."""
         learner = self.start(lane)
         first = learner.first_lane
         tile = next(t for t in self.tiles if t.first_lane <= first < t.end)
@@ -142,7 +143,7 @@ class _Driver:
         while self._waiting or self._running:
             if not stop.is_set():
                 self._submit()
-            elif not self._running or self._workers.count() == 0:  # nobody would bring them back
+            elif not self._running or self._workers.count() == 0:  # no worker would return them
                 self._cancel()
                 raise Interrupted
             else:
@@ -151,7 +152,7 @@ class _Driver:
                 self._take(self._running.pop(share), self._workers.result(share))
                 progress(self._fraction())
         for plan, digest in zip(self._plans, self._digests, strict=True):
-            check_unchanged(plan, digest)  # for what is told of the curves
+            check_unchanged(plan, digest)  # the curves must belong to this text
 
     def _cancel(self) -> None:
         for share in self._running:
@@ -162,9 +163,11 @@ class _Driver:
         return [Done(*found) for found in zip(self._plans, tiles, strict=True)]
 
     def _submit(self) -> None:
-        """As many shares as there are workers: one that waits could not be told from a running one
-        once the run is to stop. The tile with most before it goes first, so that no worker has to
-        bring the last one to its end while the others rest.
+        """Submit as many work units as there are workers.
+
+        More would wait, and a waiting one cannot be distinguished from a running one when the run
+        stops. The tile with most remaining steps comes first, so that no worker has to finish the
+        last one while the others idle.
         """
         room = max(1, self._workers.count()) - len(self._running)
         for _ in range(min(room, len(self._waiting))):
@@ -191,9 +194,9 @@ class _Driver:
 
 
 def _completed(plan: Plan, kept: Sequence[Tile], pieces: int) -> list[Tile]:
-    """All tiles of a plan: those that were kept, and of the lanes between them new ones.
+    """Return all tiles of a plan: the saved ones, and new ones for the other lanes.
 
-    Where its rule lets lanes touch each other, all of them are one tile.
+    If the rule couples lanes, a single tile holds all of them.
     """
     if plan.rule().lanes_touch:
         return list(kept) or [Tile(plan.first_lane, plan.lanes)]
@@ -207,9 +210,9 @@ def _completed(plan: Plan, kept: Sequence[Tile], pieces: int) -> list[Tile]:
 
 
 def _cut(first: int, lanes: int, pieces: int) -> list[Tile]:
-    """Lanes in tiles of nearly equal size, at most TILE, and as many as `pieces` if there can be.
+    """Divide lanes into tiles of nearly equal size, at most TILE, and into `pieces` if possible.
 
-    Where it is cut changes no lane.
+    The division changes no lane.
     """
     count = min(lanes, max(pieces, -(-lanes // TILE)))
     ends = [first + lanes * k // count for k in range(count + 1)] if count else []
@@ -217,10 +220,10 @@ def _cut(first: int, lanes: int, pieces: int) -> list[Tile]:
 
 
 def _apart(plan: Plan, kept: Sequence[Tile]) -> list[Tile]:
-    """Of the tiles that were kept those that go together, by lane: each lane of the plan once.
+    """Choose saved tiles that do not overlap, in the order of their lanes.
 
-    Two runs of one plan at the same time may have cut it differently. Of two tiles with a lane in
-    common that one stays in which more was done.
+    Two simultaneous runs of one plan may have divided it differently. Of two overlapping tiles, the
+    one with more completed work is chosen.
     """
     end = plan.first_lane + plan.lanes
     chosen: list[Tile] = []

@@ -1,4 +1,4 @@
-"""Statistics of the last axis, the lanes, where values may be infinite."""
+"""Statistics over the last axis, the lanes, for values that may be infinite."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 def deviation_of(values: Array, axis: int = -1) -> Array:
-    """The standard deviation of a sample, with n − 1; NaN for one value, which has none."""
+    """Return the sample standard deviation, with n − 1; NaN for a single value."""
     if values.shape[axis] > 1:
         spread: Array = np.std(values, axis=axis, ddof=1)
         return spread
@@ -19,8 +19,9 @@ def deviation_of(values: Array, axis: int = -1) -> Array:
 
 
 def quantiles(values: Array, shares: Sequence[float]) -> Array:
-    """Quantiles along the last axis, (..., lanes) in and (shares, ...) out: NumPy's usual ones, but
-    that values may be infinite.
+    """Return quantiles over the last axis, from (..., lanes) to (shares, ...).
+
+    They equal NumPy's default quantiles, and also handle infinite values.
     """
     ranked = np.sort(values, axis=-1)
     place = np.asarray(shares) * (values.shape[-1] - 1)
@@ -32,6 +33,6 @@ def quantiles(values: Array, shares: Sequence[float]) -> Array:
 
 
 def median(values: Array) -> Array:
-    """Over the last axis; values may be infinite."""
+    """Return the median over the last axis; values may be infinite."""
     middle: Array = quantiles(values, (0.5,))[0]
     return middle

@@ -1,4 +1,4 @@
-"""What was done of a plan, on disk: a folder a plan, a file a tile, each always whole."""
+"""Saved work of plans: one folder per plan, one file per tile, each always complete."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ _KEYFRAME = "keyframe "
 
 
 class Store:
-    """The tiles of a plan. Another plan, or another version, has another folder beside it."""
+    """The saved tiles of a plan. Each plan and each version of the program has its own folder."""
 
     def __init__(self, folder: Path, plan: Plan) -> None:
         self._plan, self._digest = plan, plan.digest()
         self.folder = folder / f"{_class_name(plan.task)}-{self._digest}"
 
     def read(self) -> list[Tile]:
-        """The tiles that were kept, by lane. Raises OSError.
+        """Return the saved tiles in the order of their lanes. Raises OSError.
 
-        One that is damaged is as good as none: it is put aside, which is told.
+        A damaged file is renamed and reported, and its tile is left out.
         """
         tiles = []
         for path in sorted(self.folder.glob("lanes-*.npz")):
@@ -41,11 +41,11 @@ class Store:
                 tiles.append(self._read(path))
             except BadFile as error:
                 path.replace(path.with_name(f"damaged-{path.name}"))
-                tell(f"{error}: it is put aside, and what it held is run again")
+                tell(f"{error}: it is put aside, and its lanes are run again")
         return sorted(tiles, key=lambda tile: tile.first_lane)
 
     def write(self, tile: Tile) -> None:
-        """Keep a tile in place of what was kept of it. Raises InputError if it cannot be."""
+        """Save a tile in place of its older version. Raises InputError if that fails."""
         assert tile.keyframe is not None
         header = {
             "program": PROGRAM,
@@ -68,7 +68,7 @@ class Store:
         what = "part of an experiment"
         header, arrays = read_arrays(path, PROGRAM, FORMAT, what=what, names=_names)
         if header.get("plan") != self._digest:
-            raise BadFile(f"{path} is of another experiment")
+            raise BadFile(f"{path} belongs to another experiment")
         try:
             if header.pop("sum") != _checksum(header, arrays):
                 raise ValueError("its checksum is wrong")
@@ -77,7 +77,7 @@ class Store:
             raise BadFile(f"{path} is damaged ({error})") from error
 
     def _tile(self, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Tile:
-        """Raises ValueError and more if it cannot be one of the plan."""
+        """Make the tile; raise ValueError and other exceptions if it does not fit the plan."""
         if any(a.dtype != _KINDS.get(name, np.float64) for name, a in arrays.items()):
             raise ValueError("numbers of another kind")
         kept: dict[str, Any] = {name: arrays[_KEYFRAME + name] for name in _NUMBERS}
@@ -97,19 +97,19 @@ class Store:
 
 
 _NUMBERS = ("network", "world", "gamma", "memory", "step", "frozen", "fall")
-"""All of a keyframe but what its plan says."""
+"""All of a keyframe except the rule, which the plan gives."""
 _KINDS: dict[str, type] = {_KEYFRAME + "step": np.int64, _KEYFRAME + "frozen": np.bool_}
-"""All others are float64."""
+"""Types of arrays that are not float64."""
 
 
 def _names(header: dict[str, Any]) -> list[str]:
-    """The arrays of a tile."""
+    """Return the names of a tile's arrays."""
     figures = [f"figure {k}" for k in range(len(header["figures"]))]
     return [*(_KEYFRAME + name for name in _NUMBERS), "totals", *figures]
 
 
 def _checksum(header: dict[str, Any], arrays: Mapping[str, Any]) -> str:
-    """SHA-256 of all that is kept of a tile."""
+    """Return the SHA-256 of a saved tile."""
     digest = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])

@@ -1,7 +1,7 @@
-"""The piece of a plan that a worker does: a tile of lanes, brought on for a few seconds.
+"""The work unit: a worker advances a tile of lanes for a few seconds.
 
-A worker keeps nothing: it is given how far the tile has come and returns how far it has brought
-it. So any worker can go on from there, and one that dies costs no more than its last few seconds.
+A worker keeps no state: it receives a tile and returns it advanced. Any worker can therefore
+continue it, and a worker that dies costs at most its last few seconds.
 """
 
 from __future__ import annotations
@@ -27,29 +27,29 @@ from hebbviz.sims.program.terminal import WorkersFailed, place_in
 Array = NDArray[np.float64]
 
 STRETCH_SECONDS = 0.25
-"""A share may last longer than it was to by about this, or by an evaluation; one that is stopped by
-this alone.
+"""A work unit may exceed its time by about this, or by an evaluation; a stopped one by this alone.
 """
 
 
 class WrongVersion(WorkersFailed):
-    """A worker runs another version of the program, which may not make the same run."""
+    """A worker runs another version of the program, which may compute another run."""
 
 
 class ChangedTask(ValueError):
-    """A worker read another text of the user's task or rule than the run began with."""
+    """The file of the user's task or rule has changed since the run began."""
 
 
 @dataclass(frozen=True)
 class Tile:
-    """Lanes that are run side by side, and how far they have come.
+    """Lanes that run together, and their state.
 
-    `keyframe` is None before anything was done. It does not say the rule, which is the plan's: one
-    of a user's own could not be unpickled where its file was not read before.
+    `keyframe` is None at the start. It leaves out the rule, which the plan gives: a rule from a
+    user's file could not be unpickled by a process that has not loaded the file.
 
-    `totals` (segments done, 3, lanes) are those since the start, of reward, broadcast reward and
-    ended episodes, at the end of each segment; `figures` (evaluations done, lanes) by the names of
-    `Task.evaluate`. `pending`: the evaluation at this step, if there is one, was not made yet.
+    `totals` (completed segments, 3, lanes) holds the totals since the start of reward, broadcast
+    reward and ended episodes at the end of each segment; `figures` holds evaluations (completed
+    ones, lanes) by the keys of `Task.evaluate`. `pending` means that the evaluation due at this
+    step, if any, has not been made.
     """
 
     first_lane: int
@@ -72,14 +72,14 @@ class Tile:
         return self.first_lane + self.lanes
 
     def learner(self, plan: Plan) -> Learner:
-        """The tile's lanes as they are now."""
+        """Return a learner with the tile's lanes in their present state."""
         learner = plan.learner(self.first_lane, self.lanes)
         if self.keyframe is not None:
             learner.restore(replace(self.keyframe, rule=learner.rule))
         return learner
 
     def check_fit(self, plan: Plan) -> None:
-        """Raise ValueError unless it can have come of this plan, which a file may only say."""
+        """Raise ValueError unless the tile, read from a file, fits the plan."""
         if not plan.first_lane <= self.first_lane < self.end <= plan.first_lane + plan.lanes:
             raise ValueError("its lanes are not the plan's")
         if self.step > plan.steps or type(self.pending) is not bool:
@@ -96,7 +96,7 @@ class Tile:
         self.learner(plan)
 
     def curves(self, plan: Plan) -> Curves:
-        """What came of the segments that are done."""
+        """Return the results of the completed segments."""
         ends = plan.segment_steps * np.arange(1, len(self.totals) + 1)
         start = np.zeros((1, 3, self.lanes))
         sums = np.diff(np.concatenate([start, self.totals]), axis=0)
@@ -113,7 +113,7 @@ class Tile:
 
 
 class Stop(Protocol):
-    """An event of threads, or of processes."""
+    """An event of `threading` or `multiprocessing`."""
 
     def is_set(self) -> bool: ...
 
@@ -122,7 +122,7 @@ _stop: Stop = threading.Event()
 
 
 def obey(stop: Stop) -> None:
-    """End the shares of this process, from now on, soon after `stop` is set."""
+    """Make all work units of this process end soon after `stop` is set."""
     global _stop  # noqa: PLW0603  # it cannot be sent with a share
     _stop = stop
 
@@ -130,11 +130,11 @@ def obey(stop: Stop) -> None:
 def bring_on(
     plan: Plan, tile: Tile, seconds: float, version: str, digest: str, stop: Stop | None = None
 ) -> Tile:
-    """The tile after about `seconds` more, or at the plan's end, or soon after `stop` is set.
+    """Advance a tile for about `seconds`, to the plan's end, or until soon after `stop` is set.
 
-    What it has come through is a function of the plan and its lanes alone: how it was cut into
-    shares tells only where a share ends. `version` of the program and `digest` of the plan are
-    those that the run began with. Raises TaskError if the task fails, WrongVersion, ChangedTask.
+    Results depend only on the plan and its lanes, not on the division into work units. `version`
+    and `digest` are those of the program and the plan when the run began. Raises TaskError if the
+    task fails, WrongVersion and ChangedTask if these differ now.
     """
     if version != hebbviz.__version__:
         raise WrongVersion(
@@ -144,7 +144,7 @@ def bring_on(
     check_unchanged(plan, digest)
     try:
         share = _Share(plan, tile, _stop if stop is None else stop)
-        check_unchanged(plan, digest)  # nor was it edited since: this text is the one that was run
+        check_unchanged(plan, digest)  # so the text that runs is the one that was checked
         share.run(time.monotonic() + seconds)
     except Exception as error:
         for file in plan.own().values():
@@ -155,16 +155,16 @@ def bring_on(
 
 
 def check_unchanged(plan: Plan, digest: str) -> None:
-    """Raise ChangedTask if a user's file in the plan is another than when this was its digest."""
+    """Raise ChangedTask if a user's file in the plan has changed since `digest` was computed."""
     if plan.digest() != digest:
         raise ChangedTask(
-            f"{' or '.join(plan.own())}: the file is not what the run began with, here or on a "
-            "worker: put it back to go on, or start again with it everywhere"
+            f"{' or '.join(plan.own())}: the file has changed since the run began, here or on a "
+            "worker: restore it to continue, or start again with the same file everywhere"
         )
 
 
 class _Share:
-    """A tile at work."""
+    """A work unit in progress."""
 
     def __init__(self, plan: Plan, tile: Tile, stop: Stop) -> None:
         self._plan, self._tile, self._stop = plan, tile, stop
@@ -174,7 +174,7 @@ class _Share:
         self._pending = tile.pending
 
     def run(self, deadline: float) -> None:
-        """Go on until the deadline, or to the end of the plan, or until it is stopped."""
+        """Run until the deadline, the end of the plan, or a stop."""
         plan, learner = self._plan, self._learner
 
         def is_over() -> bool:
@@ -209,7 +209,7 @@ class _Share:
         return np.array([[t.reward, t.broadcast, t.ended] for t in self._learner.tallies()]).T
 
     def _evaluate(self) -> None:
-        """Make the evaluation that is pending, if there is one; if it is stopped, it stays so."""
+        """Make a pending evaluation; one that is stopped stays pending."""
         if not self._pending:
             return
         if self._plan.evaluates_at(self._learner.step):

@@ -1,4 +1,4 @@
-"""Who does the shares: threads or processes of this machine, or the workers of a Dask cluster."""
+"""Workers: threads or processes of this machine, or the workers of a Dask cluster."""
 
 # ruff: noqa: PLC0415  # Dask is an extra, and heavy
 
@@ -36,38 +36,39 @@ from hebbviz.sims.program.terminal import InputError, WorkersFailed, tell
 from hebbviz.task.base import CompiledTask
 
 SHARE_SECONDS = 3.0
-"""How long a worker is busy with a share: what a kill may cost."""
+"""Duration of a work unit, which a kill may lose."""
 
 CONNECT_SECONDS = 10.0
 COUNT_SECONDS = 0.5
-"""The workers of a cluster are counted so often."""
+"""Interval between counts of a cluster's workers."""
 
 
 class LostWorkers(WorkersFailed):
-    """The workers are gone for good; what was done is kept."""
+    """The workers are gone for good; completed work is saved."""
 
 
 class Workers(Protocol):
-    """Those who do shares, through executors of `concurrent.futures`."""
+    """Runs work units, through executors of `concurrent.futures`."""
 
     def count(self) -> int:
-        """How many shares can be done at once, as things are now."""
+        """Return the number of work units that can run at once now."""
 
     def submit(self, plan: Plan, tile: Tile, digest: str) -> Future[Tile]:
-        """Have a tile brought on by a share, if the plan is still what it was by this digest."""
+        """Submit a work unit for a tile; it fails if the plan no longer has this digest."""
 
     def result(self, share: Future[Tile]) -> Tile:
-        """What came of a share that is done; raises what it raised, and LostWorkers."""
+        """Return the result of a completed work unit; raise its exception or LostWorkers."""
 
     def hurry(self, on: bool) -> None:
-        """Have shares end as soon as they can, where they can be told so, or no longer."""
+        """Make running work units end as soon as possible, or no longer, if that is possible."""
 
 
 @contextlib.contextmanager
 def open_workers(scheduler: str | None = None) -> Iterator[Workers]:
-    """All cores of this machine, or the workers of the Dask scheduler at an address.
+    """Open all cores of this machine, or the workers of the Dask scheduler at an address.
 
-    Raises InputError if Dask is not installed, nothing answers there, or no worker is to be had.
+    Raises InputError if Dask is not installed, nothing answers at the address, or the scheduler has
+    no workers.
     """
     workers = _Cores() if scheduler is None else _Cluster(scheduler)
     try:
@@ -79,8 +80,8 @@ def open_workers(scheduler: str | None = None) -> Iterator[Workers]:
 class _Cores:
     """The cores of this machine.
 
-    Compiled loops release the GIL, so that threads use all cores; a world that is stepped by
-    Python gets processes, which start only if there is one.
+    Compiled loops release the GIL, so threads use all cores. A world stepped by Python needs
+    processes, which start only for such a world.
     """
 
     def __init__(self) -> None:
@@ -95,8 +96,8 @@ class _Cores:
         threads = isinstance(plan.make_task(), CompiledTask)
         if threads not in self._executors:
             self._executors[threads] = self._threads() if threads else self._processes()
-        stop = (self._stop,) if threads else ()  # a process has it from its beginning
-        with contextlib.nullcontext() if threads else _signals_held():  # by those that start here
+        stop = (self._stop,) if threads else ()  # a process gets it when it starts
+        with contextlib.nullcontext() if threads else _signals_held():  # in new processes
             return _submit(self._executors[threads], plan, tile, digest, *stop)
 
     def hurry(self, on: bool) -> None:
@@ -109,7 +110,7 @@ class _Cores:
         try:
             return share.result()
         except BrokenExecutor as error:
-            raise LostWorkers("a process that did a share of the work died") from error
+            raise LostWorkers("a worker process died") from error
 
     def close(self) -> None:
         for executor in self._executors.values():
@@ -130,7 +131,7 @@ class _Cores:
 
 
 def core_count() -> int:
-    """How many cores this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -138,8 +139,10 @@ def core_count() -> int:
 
 @contextlib.contextmanager
 def _signals_held() -> Iterator[None]:
-    """A terminal sends Ctrl-C to all processes, and who ends a service SIGTERM, but it is for this
-    one to stop the others. Those that start in here never take them; this one takes them after.
+    """Block signals while worker processes start, which then never receive them.
+
+    A terminal sends Ctrl-C to all processes, and a service manager sends SIGTERM, but this process
+    must stop the others. It receives blocked signals afterwards.
     """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
@@ -152,16 +155,16 @@ def _signals_held() -> Iterator[None]:
 
 
 def _end_processes(executor: ProcessPoolExecutor) -> None:
-    """At once, whatever they do: nothing hangs on a share, and its semaphores are given back."""
+    """Kill the worker processes at once and release their semaphores; a work unit may be lost."""
     for process in list((executor._processes or {}).values()):  # noqa: SLF001  # kill_workers of 3.14
         process.kill()
     executor.shutdown(cancel_futures=True)
 
 
 def _begin_process(stop: Stop) -> None:
-    """End with the program that began this process, however it ends, whose stdout is not ours."""
+    """Make this process end with its parent, however that ends, and never write to its stdout."""
     obey(stop)
-    logging.getLogger("hebbviz").setLevel(logging.ERROR)  # of its cache the first process tells
+    logging.getLogger("hebbviz").setLevel(logging.ERROR)  # the parent reports about its cache
     sys.stdout = sys.stderr = cast(TextIO, Stream(sys.stderr))
     parent = multiprocessing.parent_process()
     assert parent is not None
@@ -176,7 +179,7 @@ def _begin_process(stop: Stop) -> None:
 class _Cluster:
     """The workers of a Dask scheduler; they may come and go.
 
-    Dask gives the share of a worker that died to another one.
+    Dask gives the work unit of a worker that died to another one.
     """
 
     def __init__(self, address: str) -> None:
@@ -184,24 +187,24 @@ class _Cluster:
             from distributed import Client, KilledWorker
         except ImportError as error:
             raise InputError('--scheduler needs Dask: pip install "hebbviz[cluster]"') from error
-        if not _is_address(address):  # Dask's client would hang, and say so much later
+        if not _is_address(address):  # Dask's client would hang, and fail much later
             raise InputError(
-                f"no Dask scheduler answers at {address}: that is no address, give one as "
+                f"no Dask scheduler answers at {address}: that is not an address, give one as "
                 "tcp://HOST:PORT"
             )
         self._address, self._killed = address, KilledWorker
-        for name in ("distributed", "distributed.client"):  # what matters comes as an exception
+        for name in ("distributed", "distributed.client"):  # errors arrive as exceptions
             logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
             self._client: Any = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError, RuntimeError) as error:  # OSError: a TimeoutError too
-            # The client that failed closes itself when it is collected. Were that left to chance,
-            # it could be while the next one starts, and both would wait for one lock of Dask's.
+            # The failed client closes itself when it is collected. If that happened while the next
+            # one starts, both would wait for one of Dask's locks.
             traceback.clear_frames(error.__traceback__)
             gc.collect()
             raise InputError(
                 f"no Dask scheduler answers at {address}: start one with 'dask scheduler', or "
-                "mend the address"
+                "correct the address"
             ) from error
         try:
             self._client.wait_for_workers(1, timeout=CONNECT_SECONDS)
@@ -223,7 +226,7 @@ class _Cluster:
                 raise self._lost() from error
             self._counted_at = time.monotonic()
             if before and not self._threads:
-                with tqdm.external_write_mode():  # there may be a bar
+                with tqdm.external_write_mode():  # a progress bar may be shown
                     tell(f"no workers left at {self._address}, waiting: start one, or Ctrl-C")
         return self._threads
 
@@ -235,11 +238,11 @@ class _Cluster:
             return share.result()
         except CancelledError as error:
             raise self._lost() from error
-        except self._killed as error:  # Dask gives a share up that several died at
-            raise LostWorkers(f"a share of the work failed: {error}") from error
+        except self._killed as error:  # Dask gives up a unit at which several workers died
+            raise LostWorkers(f"a part of the work failed: {error}") from error
 
     def hurry(self, on: bool) -> None:
-        """They cannot be told so: their shares are over after a few seconds."""
+        """Do nothing: workers of a cluster cannot be notified, but units last only seconds."""
 
     def _lost(self) -> LostWorkers:
         return LostWorkers(f"the Dask scheduler at {self._address} is gone")
@@ -249,7 +252,7 @@ class _Cluster:
 
 
 def _is_address(text: str) -> bool:
-    """Whether Dask knows such addresses, of a host and a port."""
+    """Whether the text is an address that Dask knows, with a host and a port."""
     from distributed.comm.addressing import parse_address, parse_host_port
     from distributed.comm.registry import get_backend
 

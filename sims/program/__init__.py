@@ -1,1 +1,1 @@
-"""Terminal, signals, output and arguments: what every command shares."""
+"""Terminal, signals, output and arguments, shared by all commands."""

@@ -1,4 +1,4 @@
-"""Compiling before a run starts, and a word about it where it takes its time."""
+"""Compilation before a run starts, with an announcement if it takes long."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ class _Announcement(event.Listener):
 
 @contextlib.contextmanager
 def announced_compiling(say: Callable[[], None]) -> Iterator[None]:
-    """Call `say` once if numba compiles something in here: what it has on disk is only loaded."""
+    """Call `say` once if numba compiles something in this context; cached code is only loaded."""
     with event.install_listener("numba:compile", _Announcement(say)):
         yield
 
 
 @contextlib.contextmanager
 def announced_on_terminal() -> Iterator[None]:
-    """`announced_compiling` on stderr, if that is a terminal."""
+    """Announce compilation on stderr, if that is a terminal."""
 
     def say() -> None:
         if sys.stderr.isatty():
@@ -49,7 +49,7 @@ def announced_on_terminal() -> Iterator[None]:
 
 
 def warm_up(learner: Learner) -> None:
-    """Have everything compiled that a run of `learner` needs, without moving it on."""
+    """Compile everything that a run of `learner` needs, without changing it."""
     twin = learner.twin()
     twin.skip(2)
     twin.advance(2)

@@ -1,6 +1,4 @@
-"""Ctrl-C, SIGTERM and SIGHUP: at a good moment while things run, and at once while they are
-prepared.
-"""
+"""Ctrl-C, SIGTERM and SIGHUP: they end a run at a safe point, and preparation immediately."""
 
 from __future__ import annotations
 
@@ -16,13 +14,13 @@ if TYPE_CHECKING:
 SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
-"""The last, of a terminal that is closed, is unknown to Windows."""
+"""Signals that end a program. Windows has no SIGHUP, which a closing terminal sends."""
 
 T = TypeVar("T")
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal of this number came."""
+    """The signal with this number was received."""
 
     def __init__(self, number: int) -> None:
         super().__init__()
@@ -31,8 +29,9 @@ class Stopped(KeyboardInterrupt):
 
 @contextlib.contextmanager
 def raising() -> Iterator[None]:
-    """Each signal raises `Stopped` in here, so that what was begun is undone and nothing is left of
-    it; for commands that do one thing in the main thread.
+    """Raise `Stopped` on each signal in this context, so that cleanup runs and leaves no files.
+
+    For commands that do one thing in the main thread.
     """
 
     def stop(number: int, _: FrameType | None) -> None:
@@ -46,13 +45,12 @@ def raising() -> Iterator[None]:
 
 
 class Interrupts:
-    """Takes the signals while entered, also where a shell had the program ignore Ctrl-C; but not a
-    SIGHUP that is ignored, as `nohup` has it.
+    """Handles the signals while entered, even if a shell made the program ignore Ctrl-C; but not a
+    SIGHUP that `nohup` ignores.
 
-    The first signal sets `stop`, and `number` is its number; a second one raises
-    KeyboardInterrupt, except SIGHUP: a closed terminal sends it more than once, nobody's
-    impatience. In a thread other than the main one signals cannot be taken, and only `stop` is
-    left.
+    The first signal sets `stop` and its `number`. A second one raises KeyboardInterrupt, except
+    SIGHUP, which a closing terminal sends more than once. Outside the main thread signals cannot
+    be handled; only `stop` works there.
     """
 
     def __init__(self, stop: threading.Event | None = None) -> None:
@@ -68,11 +66,11 @@ class Interrupts:
         _put_back(self._before)
 
     def prepare(self, make: Callable[[], T], *, grace: float = 0.0) -> T:
-        """What `make` returns, or KeyboardInterrupt as soon as `stop` is set.
+        """Return the result of `make`; raise KeyboardInterrupt as soon as `stop` is set.
 
-        It is called in a thread of its own: a compiler cannot be interrupted for many seconds,
-        and swallows what is raised in it. Once `stop` is set it may have a `grace` of so many
-        seconds to end by itself. Whoever leaves it behind ends the program by `os._exit`.
+        `make` runs in its own thread, because a compiler cannot be interrupted for many seconds
+        and swallows exceptions. Once `stop` is set, `make` has `grace` seconds to end by itself.
+        If it is still running then, the caller must end the program with `os._exit`.
         """
         made: list[T] = []
         failures: list[BaseException] = []
@@ -105,7 +103,7 @@ class Interrupts:
 
 
 def _taken(handler: Callable[[int, FrameType | None], None]) -> dict[signal.Signals, Any]:
-    """Have the signals handled, and give what was there before; in a thread none are."""
+    """Install the handler and return the previous ones; outside the main thread do nothing."""
     if threading.current_thread() is not threading.main_thread():
         return {}
     return {s: signal.signal(s, handler) for s in SIGNALS if not _is_ignored(s)}

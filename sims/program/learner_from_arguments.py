@@ -1,6 +1,6 @@
-"""The learner that a command line asks for: a new one, a saved one, or one with a task of yours."""
+"""The learner of a command line: a new one, a saved one, or one with the user's own task."""
 
-# ruff: noqa: PLC0415  # what is heavy is imported once it is needed: --help must be quick
+# ruff: noqa: PLC0415  # heavy modules are imported when needed: --help must be quick
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ if TYPE_CHECKING:
 
 DEFAULT_TASK = "pendulum"
 MOST_SHOWN_LANES = 256
-"""Lanes of a run with a page: a moment of it is a copy of them all."""
+"""Most lanes of a run with a page: each keyframe copies all of them."""
 
 
 def make_learner(args: argparse.Namespace) -> Learner:
-    """The learner that was asked for, new or loaded. Raises InputError, ValueError, OSError and
-    TaskError for what the user can mend.
+    """Make or load the learner of a command line.
+
+    Raises InputError, ValueError, OSError and TaskError for errors that the user can fix.
     """
     from hebbviz.learner.learner import Learner
     from hebbviz.limits import check_beta, check_fall, check_gamma
@@ -53,7 +54,7 @@ def make_learner(args: argparse.Namespace) -> Learner:
 
 
 def asked_rule(args: argparse.Namespace) -> Rule | None:
-    """The rule that was asked for; one of a user's own file is known by its name from then on."""
+    """Return the requested rule, None if there is none; register one from a user's file by name."""
     from hebbviz.sims.loading import load_rule
 
     return None if args.rule is None else load_rule(args.rule)
@@ -88,8 +89,10 @@ def _loaded(args: argparse.Namespace, rule: Rule | None) -> Learner:
 
 
 def saved_task(args: argparse.Namespace, file: str | Path, name: str, preset: str) -> Task:
-    """The task that a file names. A user's own is run only if the user names it: a saved learner
-    or a recording may come from anywhere.
+    """Return the task that a file names.
+
+    A user's own task runs only if the command line names it, because a saved learner or a
+    recording may come from anywhere.
     """
     from hebbviz.sims import TASKS
     from hebbviz.sims.loading import make_task
@@ -101,7 +104,7 @@ def saved_task(args: argparse.Namespace, file: str | Path, name: str, preset: st
         return _at_preset(args, file, make_task(name, preset))
     if args.task is None:
         raise InputError(
-            f"{file} holds a task of yours, {name!r}: name its file again, with --task path.py:Name"
+            f"{file} holds your task {name!r}: name its file again, with --task path.py:Name"
         )
     is_own = own_file(name)[0] is not None
     if args.task in TASKS.names or (is_own and _class_of(name) != _class_of(args.task)):
@@ -110,7 +113,7 @@ def saved_task(args: argparse.Namespace, file: str | Path, name: str, preset: st
 
 
 def _at_preset(args: argparse.Namespace, file: str | Path, task: Task) -> Task:
-    """The task itself, if it is at the preset that was asked for."""
+    """Return the task; raise InputError if the command line asks for another preset."""
     given = getattr(args, "preset", None)
     if given is not None and task.find_preset(given)[0] != task.preset_name:
         raise _contradiction(file, "--preset", given, task.preset_name)
@@ -128,20 +131,20 @@ def _contradiction(file: str | Path, option: str, given: object, saved: object) 
 
 
 def saved_file(path: Path) -> Path:
-    """The file that --save with this name wrote: .npz is added if missing."""
+    """Return the file that --save with this name wrote: .npz is added if missing."""
     with_suffix = Path(f"{path}.npz")
     return with_suffix if with_suffix.is_file() and not path.is_file() else path
 
 
 def task_name(args: argparse.Namespace, learner: Learner) -> str:
-    """What the user called the task."""
+    """Return the task as the user named it."""
     if args.task is None:
         return learner.task.name
     return str(args.task)
 
 
 def maker(task: Task, task_name: str | None) -> MakeTask:
-    """`make_task` that also knows a task in use, by the name that the user has for it."""
+    """Return a `make_task` that also makes a task in use, by the user's name for it."""
     from hebbviz.learner.learner import TaskError
     from hebbviz.sims import TASKS
     from hebbviz.sims.loading import make_task

@@ -1,7 +1,7 @@
-"""What is printed can be lost, and nothing else is lost with it.
+"""Output streams whose failure does not stop a run.
 
-A reader that has left, a full disk, a closed stream or a terminal that is gone make no write fail
-in here. So a run ends and is saved as it would be otherwise, and only the exit code may tell.
+Writes do not fail if the reader has closed the pipe, the disk is full, or the stream or terminal is
+closed. The run ends and is saved as usual; only the exit code may differ.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import Any, TextIO, cast
 
 
 class Stream:
-    """A text stream, or none, whose writes do not fail; `lost` is the first error of one.
+    """A text stream, or None, whose writes do not fail; `lost` is the first error.
 
-    That is told on stderr of a stream with a `name`, unless its reader has left.
+    For a stream with a `name` the error is reported on stderr, unless the reader closed the pipe.
     """
 
     def __init__(self, stream: TextIO | None, name: str | None = None) -> None:
@@ -25,7 +25,7 @@ class Stream:
         self.lost: OSError | ValueError | None = None
 
     def write(self, text: str) -> int:
-        """Print, or note that it was not."""
+        """Write the text, or record the error."""
         try:
             if self._stream is None:
                 raise OSError(errno.EBADF, "it is closed")
@@ -52,7 +52,7 @@ class Stream:
             return
         self.lost = error
         if self._stream is not None:
-            with contextlib.suppress(OSError, ValueError):  # what it still holds must go somewhere
+            with contextlib.suppress(OSError, ValueError):  # its buffer must go somewhere
                 os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
         if self._name is not None and not isinstance(error, BrokenPipeError):
             why = (getattr(error, "strerror", None) or str(error)).lower()
@@ -65,7 +65,7 @@ class Stream:
 
 @contextlib.contextmanager
 def spared() -> Iterator[Stream]:
-    """Take both streams while entered; returns stdout."""
+    """Replace stdout and stderr while entered; yields stdout."""
     _occupy()
     before = sys.stdout, sys.stderr
     out, err = Stream(sys.stdout, "stdout"), Stream(sys.stderr)
@@ -79,7 +79,7 @@ def spared() -> Iterator[Stream]:
 
 
 def _occupy() -> None:
-    """A file opened later must not become the stdin, stdout or stderr that was closed."""
+    """Open /dev/null as closed standard streams, so that no file gets their numbers."""
     for number in range(3):
         try:
             os.fstat(number)

@@ -1,6 +1,6 @@
-"""What the command line says: errors of one line, exit codes, and whose fault an error is."""
+"""Messages of the command line: one-line errors, exit codes, and whose fault an error is."""
 
-# ruff: noqa: PLC0415  # what is heavy is imported once it is needed: --help must be quick
+# ruff: noqa: PLC0415  # heavy modules are imported when needed: --help must be quick
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class InputError(Exception):
-    """Something that the user gave and can mend; the message says what, why and what to do."""
+    """An error in the user's input; the message says what, why and what to do."""
 
 
 class WorkersFailed(Exception):
-    """Those who do the work are gone or not fit for it: nothing that the user gave is to blame."""
+    """The workers are gone or unsuitable; the user's input is not at fault."""
 
 
 @contextlib.contextmanager
 def user_can_mend(args: argparse.Namespace) -> Iterator[None]:
-    """What goes wrong in here does so for what the user gave."""
+    """Turn exceptions in this context into InputError, as caused by the user's input."""
     from hebbviz.learner.learner import TaskError
 
     try:
@@ -57,7 +57,7 @@ def user_can_mend(args: argparse.Namespace) -> Iterator[None]:
 
 
 def check_writable(folder: Path) -> None:
-    """Find out before the work whether its result can be written into an existing folder."""
+    """Raise InputError unless an existing folder is writable; call it before the work."""
     try:
         with tempfile.TemporaryFile(dir=folder):
             pass
@@ -69,22 +69,23 @@ def check_writable(folder: Path) -> None:
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """What cannot be written in here is said as such; what was done before is kept."""
+    """Turn OSError in this context into InputError about `path`; completed work is kept."""
     try:
         yield
     except OSError as error:
-        remedy = "make room" if error.errno in _NO_ROOM else "mend that"
+        remedy = "make room" if error.errno in _NO_ROOM else "fix that"
         raise InputError(
             f"cannot write {path}: {reason(error)}; {remedy}, the same command goes on"
         ) from error
 
 
 def reason(error: OSError) -> str:
+    """Return the reason of an OSError in lower case."""
     return (error.strerror or str(error)).lower()
 
 
 def place(args: argparse.Namespace, error: BaseException) -> str:
-    """Where in the user's own file an error came from, as ' (my.py, line 12)', or nothing."""
+    """Return the place of an error in the user's files, as ' (my.py, line 12)', or ''."""
     for file in _own(args).values():
         found = place_in(file, error)
         if found:
@@ -93,10 +94,10 @@ def place(args: argparse.Namespace, error: BaseException) -> str:
 
 
 def place_in(file: Path, error: BaseException) -> str:
-    """Where in a file an error came from, as '(my.py, line 12)', or nothing.
+    """Return the place of an error in a file, as '(my.py, line 12)', or ''.
 
-    A traceback does not come out of another process. There this is to be a note on the error, and
-    is found again here.
+    A traceback does not survive the way out of another process. That process adds the place as a
+    note to the error, and this function finds the note.
     """
     causes = [error]
     while causes[-1].__cause__ is not None:
@@ -111,25 +112,26 @@ def place_in(file: Path, error: BaseException) -> str:
 
 
 def _own(args: argparse.Namespace) -> dict[str, Path]:
-    """The user's own files, by what they were given as."""
+    """Return the user's own files by their specs."""
     from hebbviz.sims.user_file import own_files
 
     return own_files(getattr(args, "task", None), getattr(args, "rule", None))
 
 
 def finite(value: Any) -> float | None:
-    """A number as strict JSON can say it, which knows no infinity: that is None."""
+    """Return a number for strict JSON, which has no infinity and no NaN: None for both."""
     number = float(value)
     return number if math.isfinite(number) else None
 
 
 def fail(code: int, message: str) -> int:
+    """Print an error message and return the exit code."""
     tell(message)
     return code
 
 
 def tell(message: str) -> None:
-    """One line on stderr, whatever is in the message."""
+    """Print a message as one line on stderr."""
     line = " ".join(message.split())
     line = "".join(c if c.isprintable() else "?" for c in line)
     sys.stderr.write(f"hebbviz: {line[:LONGEST_LINE]}\n")
@@ -137,16 +139,17 @@ def tell(message: str) -> None:
 
 
 def prints_aside() -> contextlib.redirect_stdout[TextIO]:
-    """What a user's task or rule prints in here goes to stderr: stdout is for the figures."""
+    """Send prints of a user's task or rule to stderr; stdout is for results."""
     return contextlib.redirect_stdout(sys.stderr)
 
 
 def say(line: str) -> None:
+    """Print one line on stdout."""
     sys.stdout.write(f"{line}\n")
     sys.stdout.flush()
 
 
 def leave(code: int) -> NoReturn:
-    """End the process now, even if a compiler is still at work in another thread."""
+    """End the process now, even while a compiler runs in another thread."""
     sys.stdout.flush()
     os._exit(code)

@@ -1,4 +1,4 @@
-"""Folders that are complete once they are there: nothing that was begun is left where it failed."""
+"""Folders that appear only when complete; a failure leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 
 @contextlib.contextmanager
 def made_folder(folder: Path) -> Iterator[None]:
-    """Make a folder and those above it, and take away again those that stay empty."""
+    """Make a folder and its parents; on exit remove those that are still empty."""
     made = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -25,10 +25,10 @@ def made_folder(folder: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def whole_folder(folder: Path) -> Iterator[Path]:
-    """A folder to write into, whose files come into `folder` when all of them are written.
+    """Yield a temporary folder; move its files into `folder` when all of them are written.
 
-    Where there is no `folder` yet it appears with all of them; else they take the places of
-    older ones of their names. Raises OSError that names `folder` if something cannot be written.
+    A new `folder` appears with all files at once; in an existing one they replace older files of
+    the same names. Raises OSError, which names `folder`, if a file cannot be written.
     """
     folder = folder.absolute()
     above = folder if folder.exists() else folder.parent

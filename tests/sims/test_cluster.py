@@ -164,7 +164,7 @@ def test_a_share_that_workers_die_of_is_given_up(tmp_path, monkeypatch):
         cluster.worker()
         with (
             open_workers(cluster.address) as there,
-            pytest.raises(workers.LostWorkers, match="a share of the work failed"),
+            pytest.raises(workers.LostWorkers, match="a part of the work failed"),
         ):
             run(plan, there)
 
@@ -204,7 +204,7 @@ def test_where_no_scheduler_answers_it_says_so(monkeypatch):
 def test_what_is_no_address_is_refused_before_dask_is_asked(wrong, monkeypatch):
     """Its client would hang on some of them, and complain once it is collected."""
     monkeypatch.setattr("distributed.Client", None)
-    said = "that is no address, give one as tcp://HOST:PORT"
+    said = "that is not an address, give one as tcp://HOST:PORT"
     with pytest.raises(InputError, match=said), open_workers(wrong):
         pass
 

@@ -200,7 +200,7 @@ def test_curves_of_too_many_lanes_are_not_joined():
     plan = replace(SONAR, lanes=3, segments=1, segment_steps=1)
     curves = brought_on(plan, Tile(0, 3), 0.0).curves(plan)
     assert joined([curves, curves], 6).reward.shape == (6, 1)
-    with pytest.raises(ValueError, match="curves of 5 lanes were to be joined, got 6"):
+    with pytest.raises(ValueError, match="the curves must have 5 lanes together, got 6"):
         joined([curves, curves], 5)
 
 
@@ -239,7 +239,7 @@ def test_what_is_damaged_is_run_again(tmp_path, capsys):
     with open_workers() as cores:
         again = run(SONAR, cores, folder=tmp_path)
         (line,) = capsys.readouterr().err.splitlines()
-        assert str(file) in line and "damaged: it is put aside, and what it held is run" in line
+        assert str(file) in line and "damaged: it is put aside, and its lanes are run" in line
         assert same(again, run(SONAR, cores))
         run(SONAR, cores, folder=tmp_path)
     assert capsys.readouterr().err == "", "it is said once"
@@ -292,7 +292,9 @@ def test_a_task_that_is_edited_in_mid_run_is_refused(tmp_path, short_shares):
     with open_workers() as cores:
         whole = run(plan, cores)
         for least in (0.0, 0.999):  # in its midst, and once it is done but not yet told of
-            with pytest.raises(ChangedTask, match=r"own.py:Lever: the file is not what the run"):
+            with pytest.raises(
+                ChangedTask, match=r"own.py:Lever: the file has changed since the run"
+            ):
                 run(plan, cores, folder=tmp_path / "kept", progress=partial(edit, least))
             own.write_text(text)
         assert same(run(plan, cores, folder=tmp_path / "kept", progress=(left := []).append), whole)
@@ -316,7 +318,7 @@ def test_a_rule_of_ones_own_goes_from_process_to_process_and_may_not_be_edited(
             edited.write_text(RULE.replace("0.5", "0.25"))
             edited.replace(own)
 
-    with open_workers() as cores, pytest.raises(ChangedTask, match=r"rule.py:Half: the file is"):
+    with open_workers() as cores, pytest.raises(ChangedTask, match=r"rule.py:Half: the file has"):
         run(plan, cores, folder=tmp_path / "kept", progress=edit)
     own.write_text(RULE)
     with open_workers() as cores:  # new processes, which have read nothing yet
@@ -337,7 +339,7 @@ def test_workers_that_die_or_are_others_are_not_blamed_on_the_task(tmp_path, cap
     with monkeypatch.context() as patch:
         patch.setattr(workers, "bring_on", _die)
         assert main(argv) == 1
-    died = "hebbviz: a process that did a share of the work died"
+    died = "hebbviz: a worker process died"
     assert capsys.readouterr().err.splitlines()[-1] == f"{died}; {kept}"
     with monkeypatch.context() as patch:
         patch.setattr(hebbviz, "__version__", "0.0.0")
