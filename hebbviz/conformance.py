@@ -298,7 +298,10 @@ def check_compiled(make_task: MakeTask) -> None:
 
 
 def check_rule(rule: Rule, make_task: MakeTask) -> None:
-    """Raise AssertionError unless a rule keeps to the contract of `hebbviz.rules` in a task."""
+    """Raise AssertionError unless a rule keeps the contract of `hebbviz.rules` in a task.
+
+    `make_task` is called without arguments: the class of a task will do.
+    """
     lanes, steps = max(2, rule.least_lanes), 600
     whole, cut = (Learner(make_task(), rule=rule, lanes=lanes, seed=3) for _ in range(2))
     block = whole.advance(steps)
