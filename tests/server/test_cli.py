@@ -711,9 +711,9 @@ def test_serve_from_python_takes_the_next_port_and_says_so(
             "localhost:", marks=pytest.mark.slow,
         ),
         pytest.param(
-            ["--allow-host", "lab.example.org"], "to look and", "/?token=", marks=pytest.mark.slow
+            ["--allow-host", "lab.example.org"], "read-only link", "/?token=", marks=pytest.mark.slow
         ),
-        pytest.param(["--token"], "to look and", "/?token=", marks=pytest.mark.slow),
+        pytest.param(["--token"], "read-only link", "/?token=", marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_says_who_may_come_in(options: list[str], said: str, in_link: str) -> None:

@@ -373,7 +373,7 @@ def test_a_signal_to_all_processes_stops_them_as_one_to_the_first_does(number, t
         finally:
             process.kill()
     assert process.returncode == 128 + number
-    assert errors.splitlines()[-1].startswith("hebbviz: stopped; the same command goes on")
+    assert errors.splitlines()[-1].startswith("hebbviz: stopped; the same command continues")
 
 
 def test_what_the_learner_refuses_ends_the_run():

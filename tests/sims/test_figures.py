@@ -476,7 +476,7 @@ def test_an_interrupted_figure_goes_on_and_comes_out_the_same(made, tmp_path):
         process.kill()
     assert process.returncode == 130
     assert out == ""
-    assert "the same command goes on" in err.splitlines()[-1]
+    assert "the same command continues" in err.splitlines()[-1]
     assert not list(tmp_path.glob("sonar*.*"))
     resumed = Made("sonar", tmp_path, SMALL["sonar"])
     assert not list(tmp_path.glob("*unfinished*"))
