@@ -711,7 +711,10 @@ def test_serve_from_python_takes_the_next_port_and_says_so(
             "localhost:", marks=pytest.mark.slow,
         ),
         pytest.param(
-            ["--allow-host", "lab.example.org"], "read-only link", "/?token=", marks=pytest.mark.slow
+            ["--allow-host", "lab.example.org"],
+            "read-only link",
+            "/?token=",
+            marks=pytest.mark.slow,
         ),
         pytest.param(["--token"], "read-only link", "/?token=", marks=pytest.mark.slow),
     ],
