@@ -24,7 +24,8 @@ class Registry:
     @property
     def names(self) -> tuple[str, ...]:
         """All names; nothing but the package is imported for them."""
-        return _modules(self._package, self._first, self._besides)
+        names = set(module_names(self._package)) - self._besides
+        return tuple(sorted(names, key=lambda name: (name != self._first, name)))
 
     def find(self, name: str) -> Any:
         """The class of that name, which must be one of `names`."""
@@ -34,6 +35,6 @@ class Registry:
 
 
 @cache
-def _modules(package: str, first: str, besides: frozenset[str]) -> tuple[str, ...]:
-    found = (m.name for m in pkgutil.iter_modules(import_module(package).__path__))
-    return tuple(sorted(set(found) - besides, key=lambda name: (name != first, name)))
+def module_names(package: str) -> tuple[str, ...]:
+    """Names of the modules of a package; only the package itself is imported."""
+    return tuple(m.name for m in pkgutil.iter_modules(import_module(package).__path__))

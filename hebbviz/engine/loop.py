@@ -23,7 +23,7 @@ from hebbviz.numerics.compile import compiled, inlined, row
 from hebbviz.numerics.logistic import sigmoid
 
 FALL_EVERY = 256
-"""A γ that falls is set anew at the steps that are divisible by this."""
+"""A decaying γ is updated at steps that are multiples of this."""
 
 
 class Engine(NamedTuple):
@@ -33,6 +33,11 @@ class Engine(NamedTuple):
     settle: Any
     run: Any
     hold: Any
+
+
+def gamma_in_force(gamma: Any, step: Any, fall: Any) -> Any:
+    """γ as it decays over `fall` steps, at a step; numbers or arrays."""
+    return gamma / (1.0 + (step - step % FALL_EVERY) / fall)
 
 
 @inlined
@@ -91,7 +96,7 @@ def _note(  # type: ignore[no-untyped-def]
 
 @inlined
 def _act(state, table, width, action):  # type: ignore[no-untyped-def]
-    """What the outputs do."""
+    """Read the actions of the outputs."""
     for i in range(at(table[0], kernel.OUTPUTS)):
         u = row(state, at(table[0], FIRST_OUTPUT) + i * A_NEURON + U, width)
         act = row(action, i, width)
@@ -101,7 +106,7 @@ def _act(state, table, width, action):  # type: ignore[no-untyped-def]
 
 @inlined
 def _modulate(call, memory, constants, reward, ended, modulated):  # type: ignore[no-untyped-def]
-    """What the rule makes of the reward of the lanes that were asked for."""
+    """Compute the broadcast of the rule from the rewards of the given lanes."""
     lanes = memory.shape[1]
     call(memory, constants, reward[:lanes], ended[:lanes], modulated[:lanes])
 
@@ -117,7 +122,7 @@ def engine(width: int) -> Engine:
     the sums since the start of the rewards of the task, of those broadcast, and of the ends.
     `gamma` (projections, width; 0 while frozen) falls over `fall` steps, unless that is infinite.
 
-    `watch` is the lane that is noted, or -1 for none. What is noted: `spikes` (n, neurons),
+    `watch` is the lane that is noted, or -1 for none. Its notes are `spikes` (n, neurons),
     `rewards` (n, 3: of the task, as broadcast, episode ended), if they have rows `potentials`
     (n, neurons) and `worlds` (n, numbers; where an episode ended, the beginning of the next), and
     over all steps `counts` (neurons) and `extremes` (2, neurons + probes: least and greatest v, z).

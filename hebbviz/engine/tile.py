@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from hebbviz.engine import held_input
 from hebbviz.engine.buffers import NOBODY, Notes, Sums
 from hebbviz.engine.layout import NEURON, Layout, aligned, width_for
-from hebbviz.engine.loop import FALL_EVERY, are_finite, engine, probabilities, written_out
+from hebbviz.engine.loop import (
+    FALL_EVERY,
+    are_finite,
+    engine,
+    gamma_in_force,
+    probabilities,
+    written_out,
+)
 from hebbviz.engine.unrolled import plan_of
 from hebbviz.limits import LARGEST_BETA
 from hebbviz.numerics.counter_rng import SPIKES, uniforms
@@ -31,7 +38,7 @@ _LONG = 3
 class Tile:
     """Lanes `first_lane` to `first_lane + lanes - 1` of a seed; float32 or float64.
 
-    `unrolled` says whether long stretches are to be run by what is compiled for this network alone.
+    `unrolled`: run long stretches with code compiled for this network alone.
     """
 
     def __init__(
@@ -161,8 +168,7 @@ class Tile:
         self._put_gamma(step)
 
     def _put_gamma(self, step: int) -> None:
-        since = step - step % FALL_EVERY
-        self.layout.put(self.network, "gamma", self._gamma / (1.0 + since / self._fall))
+        self.layout.put(self.network, "gamma", gamma_in_force(self._gamma, step, self._fall))
 
     def put_world(self, world: Array) -> None:
         """The state of a compiled world, (numbers, lanes)."""
@@ -214,7 +220,7 @@ class Tile:
         )  # fmt: skip
 
     def respond(self, step: int) -> Array:
-        """What the outputs do at this step of a world in Python, (outputs, lanes)."""
+        """Actions of the outputs at this step of a world in Python, (outputs, lanes)."""
         if self._fall < np.inf and step % FALL_EVERY == 0:
             self._put_gamma(step)
         self._engine.respond(
@@ -225,7 +231,7 @@ class Tile:
         return self.network[self._output, : self.lanes].astype(np.float64)
 
     def hear(self, observation: Sequence[Array]) -> None:
-        """What the world shows each lane, where `reward` and `ended` are its answer already.
+        """Show each lane the next observation; `reward` and `ended` are the answer of the world.
 
         Raises ValueError if it is not finite.
         """
@@ -264,7 +270,7 @@ class Tile:
         )  # fmt: skip
 
     def _modulate_lanes(self) -> None:
-        """What the rule makes of the reward of the lanes that were asked for."""
+        """Compute the broadcast of the rule from the rewards of the given lanes."""
         lanes = slice(self.lanes)
         try:
             self._modulate_now(

@@ -126,20 +126,10 @@ class Learner:
     @classmethod
     def of(cls, task: Task, settings: RunSettings) -> Learner:
         """A learner with these settings, at its start; raises as `Learner` does."""
-        learner = cls(
-            task,
-            topology=settings.topology,
-            beta=settings.beta,
-            gamma=settings.gamma,
-            rule=settings.rule,
-            fall=settings.fall,
-            seed=settings.seed,
-            lanes=settings.lanes,
-            first_lane=settings.first_lane,
-            dtype=settings.dtype,
-            written_out=settings.unrolled,
-        )
-        learner.freeze(settings.frozen)
+        options = dict(vars(settings))
+        frozen = options.pop("frozen")
+        learner = cls(task, **options)
+        learner.freeze(frozen)
         return learner
 
     @property
@@ -155,7 +145,7 @@ class Learner:
             lanes=self.lanes,
             first_lane=self.first_lane,
             dtype=self.dtype,
-            unrolled=self._written_out,
+            written_out=self._written_out,
             frozen=self._frozen,
         )
 

@@ -25,7 +25,7 @@ class RunSettings:
         lanes: Number of replicas.
         first_lane: Number of the first replica.
         dtype: Type of weights, traces and potentials: float64 or float32.
-        unrolled: Whether `skip` runs code compiled for this network alone.
+        written_out: Whether `skip` runs code compiled for this network alone.
         frozen: Whether the weights are held.
     """
 
@@ -38,5 +38,5 @@ class RunSettings:
     lanes: int = 1
     first_lane: int = 0
     dtype: type[np.floating[Any]] | str = np.float64
-    unrolled: bool = False
+    written_out: bool = False
     frozen: bool = False

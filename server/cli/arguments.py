@@ -40,6 +40,11 @@ _NUMERIC = (
 
 
 class Parser(argparse.ArgumentParser):
+    """Takes options only by their whole names, and raises InputError in place of exiting."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(allow_abbrev=False, **options)
+
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         """Report unknown options as the command's own error, which names its help."""
         found, unknown = super().parse_known_args(args, namespace)
@@ -190,6 +195,16 @@ def add_rule(parser: argparse._ActionsContainer) -> None:
         metavar="STEPS",
         help="gamma falls over STEPS steps: at step t it is gamma STEPS/(STEPS + t); never: it is "
         "constant (default the preset's)",
+    )
+
+
+def add_seed(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--seed",
+        type=whole_number("seed", 0, 2**32 - 1),
+        default=0,
+        metavar="N",
+        help="random seed (default %(default)s)",
     )
 
 

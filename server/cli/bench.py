@@ -23,7 +23,6 @@ def add(commands: Any) -> None:
         description="Measure how fast this machine runs networks: the NumPy reference, the "
         "compiled rule with one lane, with many, and on all cores; the pendulum in pymunk and "
         "compiled. They take turns, and the best turn of each counts.",
-        allow_abbrev=False,
     )
     bench.add_argument(
         "--seconds",

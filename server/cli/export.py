@@ -21,7 +21,6 @@ def add(commands: Any) -> None:
         "export",
         help="write a recording's timelines as npz and CSV",
         description="Write a recording's timelines as npz and CSV.",
-        allow_abbrev=False,
     )
     add_recorded(export)
     add_own_task(export)

@@ -15,6 +15,7 @@ from hebbviz.server.cli.arguments import (
     add_length,
     add_rule,
     add_scheduler,
+    add_seed,
     add_values,
     path,
     whole_number,
@@ -35,7 +36,6 @@ def add(commands: Any) -> None:
         "behind them, and the results as one line of JSON. Ctrl-C ends it early; the same "
         "command then continues.",
         epilog=f"{INTERRUPTED} {EPILOG}",
-        allow_abbrev=False,
     )
     figure.add_argument(
         "name",
@@ -58,13 +58,7 @@ def add(commands: Any) -> None:
         help="independent runs (default the figure's own)",
     )
     add_length(figure)
-    figure.add_argument(
-        "--seed",
-        type=whole_number("seed", 0, 2**32 - 1),
-        default=0,
-        metavar="N",
-        help="random seed (default %(default)s)",
-    )
+    add_seed(figure)
     figure.add_argument(
         "--quick",
         action="store_true",

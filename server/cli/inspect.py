@@ -20,7 +20,6 @@ def add(commands: Any) -> None:
         help="summarize a recording",
         description="Summarize a recording: task, seed, length, changes, keyframes, final "
         "figures, and whether it is complete.",
-        allow_abbrev=False,
     )
     add_recorded(inspect)
     add_own_rule(inspect)

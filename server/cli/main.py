@@ -93,7 +93,6 @@ def _parser() -> Parser:
         description="Watch a network of spiking neurons learn by itself. "
         "The default command is serve, with all of its options.",
         epilog=f"More: hebbviz COMMAND --help. {EPILOG}",
-        allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"hebbviz {__version__}")
     commands = parser.add_subparsers(

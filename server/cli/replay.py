@@ -30,7 +30,6 @@ def add(commands: Any) -> None:
         description="Play a recording back in the page: any of its steps, recomputed from its "
         "keyframes; continue the run from any step.",
         epilog=EPILOG,
-        allow_abbrev=False,
     )
     add_recorded(replay)
     add_own_task(replay)

@@ -33,7 +33,6 @@ def add(commands: Any) -> None:
         help="open the page in the browser and learn live",
         description="Open the page in the browser and learn live, until Ctrl-C.",
         epilog=EPILOG,
-        allow_abbrev=False,
     )
     add_learner(serve)
     serve.add_argument(

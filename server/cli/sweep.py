@@ -16,6 +16,7 @@ from hebbviz.server.cli.arguments import (
     add_length,
     add_rule,
     add_scheduler,
+    add_seed,
     add_task,
     path,
     whole_number,
@@ -36,7 +37,6 @@ def add(commands: Any) -> None:
         "Ctrl-C ends the sweep early; the same command then continues, and so does one "
         "with other values.",
         epilog=f"{INTERRUPTED} {EPILOG}",
-        allow_abbrev=False,
     )
     sweep.add_argument(
         "--out",
@@ -69,13 +69,7 @@ def add(commands: Any) -> None:
         help="independent runs of each pair (default %(default)s)",
     )
     add_length(sweep, default="1,000,000 steps")
-    sweep.add_argument(
-        "--seed",
-        type=whole_number("seed", 0, 2**32 - 1),
-        default=0,
-        metavar="N",
-        help="random seed (default %(default)s)",
-    )
+    add_seed(sweep)
     add_scheduler(sweep)
     sweep.set_defaults(run=run)
 

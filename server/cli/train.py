@@ -48,7 +48,6 @@ def add(commands: Any) -> None:
         description="Learn without a page, and print the figures: rewards and times to fall "
         "over the last fifth of the steps. Ctrl-C ends it early and still saves.",
         epilog=f"{INTERRUPTED} {EPILOG}",
-        allow_abbrev=False,
     )
     train.add_argument(
         "--steps",

@@ -17,7 +17,6 @@ def add(commands: Any) -> None:
         help="open a recording in rerun's web viewer, from this machine alone",
         description="Open a recording in the web viewer that comes with rerun, served on "
         "127.0.0.1; nothing is sent to other machines.",
-        allow_abbrev=False,
     )
     add_recorded(view)
     view.add_argument(

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hebbviz.engine.loop import FALL_EVERY
+from hebbviz.engine.loop import gamma_in_force
 from hebbviz.server.recording.reader import Recording
 from hebbviz.server.run.changes import Change, Freeze, Logged, SetBeta, SetFall, SetGamma
 
@@ -49,11 +49,11 @@ def in_force(recording: Recording, step: NDArray[np.int64]) -> tuple[Array, Arra
     settings = np.array(_settings(begun, log), dtype=np.float64)
     beta, gamma, fall, frozen = settings[np.searchsorted(changed, step)].T
     made = np.maximum(step - 1, 0)
-    return beta, np.where(frozen > 0, 0.0, gamma / (1.0 + (made - made % FALL_EVERY) / fall))
+    return beta, np.where(frozen > 0, 0.0, gamma_in_force(gamma, made, fall))
 
 
 def _settings(begun: _Set, log: Sequence[Logged]) -> list[_Set]:
-    """What was set at first and after each change."""
+    """The initial settings, and those after each change."""
     settings = [begun]
     for logged in log:
         settings.append(settings[-1].after(logged.change))

@@ -13,7 +13,6 @@ from collections import deque
 from dataclasses import dataclass
 
 FULL, LIGHT = "full", "light"
-DETAILS = (FULL, LIGHT)
 
 DEFAULT_BUDGET = 40_000_000
 LEAST_BUDGET, MOST_BUDGET = 100_000, 10**12

@@ -24,6 +24,7 @@ from hebbviz.sims.figures.sheet import Origin, Sheet, check_replaces, save
 from hebbviz.sims.loading import make_task
 from hebbviz.sims.program.compiling import announced_on_terminal
 from hebbviz.sims.program.terminal import InputError, check_writable, reason
+from hebbviz.sims.program.whole_folder import made_folder
 
 _BEGUN = "{desc} has begun"
 _BAR = "{desc} {percentage:3.0f} %|{bar}| {elapsed} gone, {remaining} left"
@@ -34,9 +35,9 @@ _REDRAW_SECONDS, _LOG_SECONDS = 0.2, 15.0
 
 @dataclass(frozen=True)
 class Work:
-    """What a figure's runs are done with: by whom, where they are kept, and how they are stopped.
+    """The means to do a figure's runs: their workers, their folder, and the event that stops them.
 
-    `folder` holds what is unfinished; it is gone once the figure is there.
+    `folder` holds unfinished work; it is removed once the figure is complete.
     """
 
     folder: Path
@@ -49,7 +50,7 @@ class Work:
         return replace(self, progress=lambda done: self.progress(first + (last - first) * done))
 
     def curves(self, plans: Sequence[Plan]) -> list[Curves]:
-        """What comes of the plans; raises `experiments.Interrupted` once it is to stop."""
+        """Learning curves of the plans; raises `experiments.Interrupted` once `stop` is set."""
         with open_workers(self.scheduler) as workers:
             return run_all(
                 plans, workers, folder=self.folder, stop=self.stop, progress=self.progress
@@ -111,20 +112,15 @@ def results_in(folder: Path) -> Iterator[None]:
 
     Raises InputError if nothing can be written there.
     """
-    made = [path for path in (folder, *folder.parents) if not path.exists()]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"cannot make the folder {folder}: {reason(error)}; choose another for --out"
-        ) from error
-    try:
+    with contextlib.ExitStack() as made:
+        try:
+            made.enter_context(made_folder(folder))
+        except OSError as error:
+            raise InputError(
+                f"cannot make the folder {folder}: {reason(error)}; choose another for --out"
+            ) from error
         check_writable(folder)
         yield
-    finally:
-        with contextlib.suppress(OSError):  # it is not empty, as it should be
-            for path in made:
-                path.rmdir()
 
 
 def draw(order: Order, work: Work) -> Sheet:
@@ -144,8 +140,8 @@ def unfinished(order: Order) -> Path:
 def progress_bar(name: str) -> Iterator[Callable[[float], object]]:
     """A bar on stderr with the time left.
 
-    Its clock starts at the second fraction that is told: all is compiled by then, and what that
-    took tells nothing of the rest.
+    Its clock starts at the second fraction reported: compiling is over by then, and its duration
+    does not predict the rest.
     """
     bars: list[Any] = []
     seconds = _REDRAW_SECONDS if sys.stderr.isatty() else _LOG_SECONDS

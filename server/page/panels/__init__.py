@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import pkgutil
 from functools import cache
 from importlib import import_module
 
+from hebbviz.registry import module_names
 from hebbviz.server.live.snapshot import Snapshot
 from hebbviz.server.page.panels.base import TABS, Panel, Place
 
@@ -13,7 +13,7 @@ from hebbviz.server.page.panels.base import TABS, Panel, Place
 @cache
 def panel_kinds() -> tuple[type[Panel], ...]:
     """All panels of this package, in ascending order."""
-    modules = [import_module(f"{__name__}.{m.name}") for m in pkgutil.iter_modules(__path__)]
+    modules = [import_module(f"{__name__}.{name}") for name in module_names(__name__)]
     kinds = [
         kind
         for module in modules
