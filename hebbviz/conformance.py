@@ -172,7 +172,7 @@ def check_pose(make_task: MakeTask) -> None:
 
 
 def check_many_states(make_task: MakeTask) -> None:
-    """What is told of many states at once is what is told of each."""
+    """Methods that take many states at once agree with those that take one."""
     task = make_task()
     states = np.array(Walk(task, steps=200).states)
     poses = [task.pose(state) for state in states]

@@ -38,7 +38,7 @@ def unfolded(layout: Layout, state: Array) -> tuple[Array, Array]:
 
 
 def refold(layout: Layout, state: Array) -> None:
-    """Start the sums anew from weights and traces that were set."""
+    """Restart the sums from the weights and traces that were set."""
     for name, value in (("decay", 1.0), ("gain", 0.0), ("z_input", 0.0), ("w_input", 0.0)):
         layout.put(state, name, value)
     activity = layout.section(state, "activity")

@@ -105,7 +105,7 @@ def _potentials(state, table, width):  # type: ignore[no-untyped-def]
 
 @inlined
 def _add_held(state, width, v, q, h):  # type: ignore[no-untyped-def]
-    """What the held input adds to the potential of a neuron."""
+    """Add the contribution of the held input to the potential of a neuron."""
     gain, x_squared = row(state, q + GAIN, width), row(state, q + X_SQUARED, width)
     w_input = row(state, h + W_INPUT, width)
     w_drive, z_drive = row(state, h + W_DRIVE, width), row(state, h + Z_DRIVE, width)
@@ -115,7 +115,7 @@ def _add_held(state, width, v, q, h):  # type: ignore[no-untyped-def]
 
 @inlined
 def _add_each(state, width, v, y, pre, pre_size):  # type: ignore[no-untyped-def]
-    """What `pre_size` neurons from record `pre` on add, by the synapses from record y on."""
+    """Add the input of `pre_size` neurons from record `pre` on, by synapses from record y."""
     for j in range(0, pre_size - 1, 2):  # two at a time: half as many passes over the lanes
         s, n = y + j * A_SYNAPSE, pre + j * A_NEURON
         w0, u0 = row(state, s + W, width), row(state, n + U, width)
@@ -288,7 +288,7 @@ def _take_in(state, table, width, observation, first, end):  # type: ignore[no-u
 
 @inlined
 def _fold(state, table, width, observation, k, first, end):  # type: ignore[no-untyped-def]
-    """Put the sums of projection k back into its synapses, then start anew with the new x."""
+    """Put the sums of projection k back into its synapses, then restart them with the new x."""
     kind = state.dtype.type
     p, q = table[k + 1], at(table[0], FIRST_PROJECTION) + k * A_PROJECTION
     pre, first_x = at(p, _PRE_SIZE), at(p, _PRE)

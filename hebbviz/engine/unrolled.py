@@ -1,9 +1,9 @@
 """The rule written out for one network: `kernel` without loops over neurons and synapses.
 
 Of a small network, every neuron and synapse can have statements of its own, all in one loop over
-the lanes. What one statement makes and another needs is then in a register, where `kernel` goes
-through memory between its loops, and the compiler sees a whole step at once. The equations, their
-order and so the results are those of `kernel`, to the bit.
+the lanes. A value that one statement computes and another needs then stays in a register, where
+`kernel` goes through memory between its loops, and the compiler sees a whole step at once. The
+equations, their order and so the results are those of `kernel`, to the bit.
 
 The source is made from the layout's table, given as text (`plan_of`), when the function that calls
 these is compiled; that text is a constant there, so numba keeps what it compiles for one table
@@ -48,7 +48,7 @@ MOST = 150
 
 _NAMES = {"row": row, "sigmoid": sigmoid, "unit": unit, "SPIKES": SPIKES,
           "four_words": four_words}  # fmt: skip
-"""What the source calls."""
+"""Names that the generated source uses."""
 
 
 def plan_of(layout: Layout) -> str | None:
@@ -102,7 +102,7 @@ class _Loop:
         self._before.append(f"{name} = row(state, {number}, width)[0]")
 
     def function(self, parameters: str) -> Any:
-        """What numba is to compile."""
+        """Source for numba to compile."""
         head = [f"    {line}" for line in (*self._before, *self._rows.values())]
         body = [f"        {line}" for line in self._body]
         source = "\n".join(

@@ -4,8 +4,8 @@
 
 The paper's rule sends the reward itself, m = r. Another rule is a class in one file, see
 `baseline.py`. It may keep a few numbers of its own from step to step, its memory; they are a part
-of the learner's state, so it is saved, rewound, recorded and shown like the paper's. What it
-cannot do is tell synapses apart: m is one number for the whole network.
+of the learner's state, so it is saved, rewound, recorded and shown like the paper's. It
+cannot distinguish synapses: m is one number for the whole network.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Rule:
     name: ClassVar[str]
     summary: ClassVar[str] = ""
     memory: ClassVar[tuple[Reading, ...]] = ()
-    """What it keeps: a name and a unit for each row of its memory."""
+    """Name and unit of each row of its memory."""
     least_lanes: ClassVar[int] = 1
     lanes_touch: ClassVar[bool] = False
     """Whether what a lane is sent depends on other lanes; no lane is a run of its own then."""
@@ -91,7 +91,7 @@ class Rule:
 
     @classmethod
     def fits(cls, lanes: int) -> bool:
-        """Whether the rule can work in so many lanes."""
+        """Whether the rule works with this number of lanes."""
         return cls.least_lanes <= lanes <= cls.most_lanes()
 
     @classmethod

@@ -15,7 +15,7 @@ REWARDS = (0.0, -1.0, 1.0)
 
 
 class Tried(Protocol):
-    """What is used of a `Rule`."""
+    """The part of a `Rule` that a trial uses."""
 
     name: ClassVar[str]
     memory: ClassVar[tuple[Any, ...]]

@@ -2,7 +2,7 @@
 
 At a speed of k steps/s every second owes k steps, and a stretch makes those that are owed. At full
 speed none are counted. Either way a stretch is no longer than lets a command act soon, by how long
-the stretches before it took. Seconds are told, and steps: nothing here knows of runs or clocks.
+the stretches before it took. Callers pass seconds and steps: nothing here knows of runs or clocks.
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ class RunState:
 
 @dataclass(frozen=True)
 class View:
-    """What is shown of the run: `frame` is the excerpt's while one plays, or a step of the `past`
+    """The view of the run: `frame` is the excerpt's while one plays, or a step of the `past`
     while that is shown, else the live one; `leaps` counts how often it did not follow on what was
     shown before.
 
@@ -106,8 +106,8 @@ class Pacing:
 
 @dataclass(frozen=True)
 class Findings:
-    """What was found out beside the run: `evaluating` are steps made and to be made of a long
-    evaluation, `stuck` lanes.
+    """Findings beside the run: `evaluating` is the number of steps made and to be made in a long
+    evaluation; `stuck` lists lanes.
     """
 
     evaluations: tuple[Evaluation, ...]

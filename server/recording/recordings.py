@@ -26,7 +26,7 @@ DEFAULT_FOLDER = "hebbviz-recordings"
 
 @dataclass(frozen=True)
 class Options:
-    """What to record from the start, and how.
+    """Options for recording from the start.
 
     `file` to record into, `stream` the port to serve viewers on, `budget` in bytes a minute,
     `folder` for recordings started on the page.

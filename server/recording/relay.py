@@ -127,9 +127,7 @@ def _pass_on(source: socket.socket, sink: socket.socket) -> None:
 
 
 def hidden_address() -> tuple[str, int]:
-    """A free port of one of the 2²⁴ addresses of this machine, where there are so many (Linux);
-    elsewhere of its single one.
-    """
+    """A free port on one of the 2²⁴ loopback addresses of Linux; elsewhere on the only one."""
     some = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
     for host in (some, "127.0.0.1"):
         with contextlib.suppress(OSError), socket.create_server((host, 0)) as probe:

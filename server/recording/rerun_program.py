@@ -69,7 +69,7 @@ def _program() -> Path:
 def _serving(program: Path) -> Iterator[int]:
     """While entered, rerun's program serves its viewer on this machine, at the port given.
 
-    As it is told that there is a recording elsewhere, it opens no port to take recordings at.
+    It is given the address of a recording, so that it opens no port of its own to receive one.
     """
     elsewhere = f"http://{HOST}:1{RECORDING}"
     command = [str(program), "--serve-web", "--bind", HOST, "--web-viewer-port", "0", elsewhere]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 _ORDER = ("hebbviz/change", "", "reward/raw", "reward/broadcast", "hebbviz/end")
 """A file may be cut anywhere: no keyframe is in it without the changes before it, no step without
-its spikes, no end without all. What is not named stands in the place of "".
+its spikes, no end without all. Entities that are not named stand in the place of "".
 """
 SEEN = "inputs"
 """Entity of what the network saw, written with weights and traces."""
@@ -24,7 +24,7 @@ NUMBER, CHECKSUM = "row", "crc32"
 
 Steps = NDArray[np.int64]
 Columns = Iterable[Any]
-"""What `RecordingStream.send_columns` takes."""
+"""Columns as `RecordingStream.send_columns` takes them."""
 
 
 class Rows:
@@ -87,7 +87,7 @@ def states(values: NDArray[Any]) -> Columns:
 def tensors(values: NDArray[np.float32]) -> Columns:
     """(n, post, pre) matrices, each with a range of its own, symmetric about zero.
 
-    The range is told upside down, and wider than it is: so rerun's colours are those of the scene,
+    The range is passed upside down, and wider than it is, so that rerun's colours are the scene's:
     blue above zero and orange below. Its own ends are cyan and yellow.
     """
     rows = [rr.Tensor(m, dim_names=("post", "pre"), value_range=_range(m)) for m in values]

@@ -112,7 +112,7 @@ def _is_in(name: str, entity: str) -> bool:
 
 
 def readable(path: Path, read: Callable[[], T]) -> T:
-    """What `read` returns; raises BadRecording, with one line, for what is wrong with a file."""
+    """Return the result of `read`; raises BadRecording, with one line, if a file is damaged."""
     try:
         return read()
     except OSError:

@@ -120,8 +120,8 @@ show().catch(fail);
 class Viewer:
     """Shows one recording to the browsers of this machine; it listens from here on.
 
-    `port` 0 is any free one. `access` says who may come in, `on_turned_away` is told once of a
-    request of each kind that may not, with the remedy.
+    `port` 0 is any free one. `access` says who may connect; `on_turned_away` receives one line,
+    with the remedy, for the first refused request of each kind.
 
     Raises ValueError if `path` is no recording or `port` no port, and OSError if the port cannot be
     listened on or rerun's viewer cannot be had (`NoViewer`).
@@ -160,12 +160,12 @@ class Viewer:
 
     @property
     def link(self) -> str:
-        """What to open in a browser."""
+        """Address to open in a browser."""
         return self._server.entrance.link(self.address)
 
     @property
     def warning(self) -> str | None:
-        """What is to be said of who can reach it, if anything."""
+        """A warning about who can reach it, if any is due."""
         return self._server.entrance.warning("read the recording")
 
     def run(self, stop: threading.Event, *, open_browser: bool) -> None:

@@ -190,7 +190,7 @@ class Looks:
         return made
 
     def look(self, frame: Frame, *, beside: Frame | None = None, leaps: int = 0) -> Look:
-        """How a frame is seen after so many leaps; the scales fit the one `beside` it too."""
+        """Appearance of a frame after `leaps` discontinuities, to scales that fit `beside` too."""
         inputs = self.topology.inputs
         self._afterglow(frame, leaps)
         radius = self._radius[inputs:]

@@ -129,8 +129,8 @@ class Pulse:
 
 
 def arrival(frame: Frame) -> str:
-    """What came in a picture of few steps, and what it made: r, and m where the rule makes another
-    number of it; of several steps the sums.
+    """The reward of a frame of few steps and its effect: r, and m if the rule broadcasts another
+    number; sums for several steps.
     """
     tally, sums = frame.since.tally, "Σ " * (frame.since.steps > 1)
     largest = float(np.abs(frame.since.weight_change).max(initial=0.0))

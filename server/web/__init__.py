@@ -1,1 +1,1 @@
-"""Who may connect to the page's server, and what a page may send."""
+"""The page's server: access control, and checks of the messages that pages send."""

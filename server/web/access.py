@@ -35,7 +35,7 @@ GetAll = Callable[[str], list[str]]
 
 
 class Role(enum.IntEnum):
-    """What one who came in may do; a greater one may do more."""
+    """Rights of a visitor; a greater role has more."""
 
     NOBODY = 0
     READER = 1
@@ -183,7 +183,7 @@ class Entrance:
         return Passage(role, f"{self._cookie}={token}; {kind}")
 
     def _kept(self, cookies: Iterable[str]) -> list[str]:
-        """What this server set; a browser sends it what others on other ports set, too."""
+        """Values of the cookie that this server set; browsers also send cookies of other ports."""
         pairs = (pair.strip().partition("=") for line in cookies for pair in line.split(";"))
         return [value for name, _, value in pairs if name == self._cookie]
 
@@ -210,7 +210,7 @@ def _equal(one: str, other: str) -> bool:
 
 
 def headers(policy: dict[str, str], frame_from: Iterable[str] = ()) -> dict[str, str]:
-    """What every answer carries: `policy` says what a page may load, by kind, besides nothing.
+    """Headers of every answer: `policy` lists what a page may load, by kind; all else is forbidden.
 
     `frame_from` are the origins whose pages may show ours in a frame. X-Frame-Options knows none.
     """

@@ -1,6 +1,6 @@
 """Admission of a page's messages: which of viser's, in what form, with which widget values.
 
-Everything here is a pure check. What does not pass raises `Refused`, with one line for the user.
+Everything here is a pure check. A message that fails raises `Refused`, with one line for the user.
 """
 
 from __future__ import annotations
@@ -138,8 +138,8 @@ def check(message: FromPage, target: Any) -> None:
 
 
 def key(message: FromPage, target: Any) -> str | None:
-    """What a later message of the same key makes vain; None for what is pressed, clicked or sent
-    off, of which each counts.
+    """Key by which a later message supersedes this one; None for presses, clicks and forms, each of
+    which counts.
     """
     if isinstance(message, ViewerCameraMessage):
         return "camera"

@@ -86,10 +86,10 @@ class Connection(ServerConnection):
             self.transport.resume_reading()
 
     def send_data(self) -> None:
-        """Send what is to be sent, in one piece, unless nobody is there any more.
+        """Send all pending data in one piece, unless the connection is closing.
 
-        Each piece that is sent to nobody, such as the answers to a flood of pings, would be a line
-        of asyncio's on the terminal.
+        asyncio prints a line for each piece sent to a closed connection, such as the answers to a
+        flood of pings.
         """
         pieces = self.protocol.data_to_send()
         if not self.transport.is_closing():

@@ -38,7 +38,7 @@ class Crowd:
         return sum(connection.state is State.OPEN for connection in self._all)
 
     def share(self, each: float, together: float) -> float:
-        """What part of so much for each leaves them so much together."""
+        """Fraction of `each` at which all connections stay within `together`."""
         return min(1.0, together / each / max(1, len(self._all)))
 
     def enter(self, connection: ServerConnection) -> None:

@@ -44,7 +44,7 @@ POLICY = {
     "worker-src": "blob:",
     "connect-src": "'self' data:",  # it fetches WebAssembly and a picture out of itself
 }
-"""What viser's page loads: it is an inline script that unpacks WebAssembly."""
+"""Content that viser's page loads: it is an inline script that unpacks WebAssembly."""
 
 
 # Where viser's GUI keeps the things that messages are about.
@@ -190,8 +190,8 @@ class Gate:
     def admit(self, raw: str | bytes, connection: Connection) -> Admitted | None:
         """The message as viser may have it, or None.
 
-        It is encoded anew from what was checked, so that viser can't read the same bytes (say,
-        with a key that occurs twice) in another way than the check did.
+        It is encoded again from the checked values, so that viser cannot read the same bytes (with
+        a duplicate key, for example) differently from the check.
         """
         try:
             message = admission.decode(raw if isinstance(raw, bytes) else b"")  # viser sends bytes
@@ -217,8 +217,8 @@ class Gate:
     def _target(
         self, message: admission.FromPage, connection: ServerConnection
     ) -> tuple[Any, bool]:
-        """What the message is about, in the shared GUI or else in the client's own; and whether it
-        is the client's own.
+        """Find the target of a message, in the shared GUI or in the client's own; and whether it is
+        the client's own.
         """
         registry = REGISTRIES.get(type(message))
         if registry is None:

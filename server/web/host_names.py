@@ -47,7 +47,7 @@ class Authority:
 
 
 def parse(text: str) -> Authority | None:
-    """What a Host header says; None if it says nothing that a browser would."""
+    """Parse a Host header; None if no browser would send it."""
     found = _WRITTEN.fullmatch(text.lower())
     if found is None:
         return None

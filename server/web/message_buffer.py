@@ -122,7 +122,7 @@ class MessageBuffer(AsyncMessageBuffer):
     async def _window_loop(
         self, client_id: int, backlog_last_id: int, backlog_done_message: Message | None
     ) -> AsyncGenerator[Sequence[Message], None]:
-        """What a client is to be sent, in windows; the marker comes right after the backlog."""
+        """Yield the messages for a client in windows; the marker follows the backlog directly."""
         cursor, marker = -1, backlog_done_message
         self.generator_cursors[client_id] = cursor
         try:

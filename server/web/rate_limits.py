@@ -21,7 +21,7 @@ MOST_PRESSES = 30
 
 
 class Allowance:
-    """So many in so many seconds, of which that many may be saved up."""
+    """Allows `most` uses in `seconds`; up to `most` unused ones accumulate."""
 
     def __init__(self, most: float, seconds: float = 1.0) -> None:
         self._most = self._left = most
@@ -39,9 +39,7 @@ class Allowance:
 
 
 class TimeShare:
-    """A part of the time, of which so many seconds may be saved up; who owes some waits for 1 s at
-    most.
-    """
+    """Allows a share of the time, of which up to `seconds` accumulate; a debt lasts at most 1 s."""
 
     def __init__(self, share: float, seconds: float) -> None:
         self._share, self._most = share, seconds

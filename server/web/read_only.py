@@ -1,7 +1,7 @@
 """Read-only visitors: the messages that they may send, and the notice if they try more.
 
 A reader's tab has all widgets of the page, but none of them moves anything except what is the
-tab's own: its camera, what it has picked. It alone is told, and shown what holds.
+tab's own: its camera and its picks. The notice, and the true value, go to that tab alone.
 """
 
 from __future__ import annotations

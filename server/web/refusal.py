@@ -1,4 +1,4 @@
-"""What is not let through, and how strange things are shown on one line."""
+"""Refusals, and one-line representations of arbitrary values in them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What figures of learning curves share: a plan's setting in words, runs as columns, strokes."""
+"""Shared by figures of learning curves: a plan's setting in words, runs as columns, strokes."""
 
 from __future__ import annotations
 
@@ -55,17 +55,17 @@ def words_of(plan: Plan) -> str:
 
 
 def falling(about: dict[str, Any]) -> str:
-    """What a `setting` says of γ, where it falls."""
+    """γ of a `setting` in words, if it decays."""
     return "" if about["fall"] is None else f" falling over {about['fall']:,.12g} steps"
 
 
 def rule_of(about: dict[str, Any]) -> str:
-    """What a `setting` says of the rule, where it is not the paper's."""
+    """Rule of a `setting` in words, if it is not the paper's."""
     return "" if about["rule"] == PAPER.name else f", rule {about['rule']}"
 
 
 def preset_note(plan: Plan) -> str:
-    """What the task says of the plan's preset, and what of it is not in force."""
+    """The task's note on the plan's preset, and the values that differ from it."""
     task = plan.make_task()
     other = _set_otherwise(plan)
     if not other:
@@ -74,7 +74,7 @@ def preset_note(plan: Plan) -> str:
 
 
 def _set_otherwise(plan: Plan) -> list[str]:
-    """What is not as the plan's preset has it."""
+    """Values that differ from the plan's preset."""
     own = Plan(task=plan.task, preset=plan.preset, lanes=plan.lanes, segments=1, segment_steps=1)
     now, before = setting(plan), setting(own)
     names = {"network": "network", "beta": "β", "gamma": "γ", "rule": "rule", "fall": "fall of γ"}
@@ -135,7 +135,7 @@ def known(times: NDArray[Any], values: Array) -> tuple[NDArray[Any], Array]:
 
 
 def triangles(course: Course) -> str:
-    """What the triangles of `draw_course` are, in a sentence; nothing if there are none."""
+    """A sentence that explains the triangles of `draw_course`; empty if there are none."""
     event = course.measure.event
     return (
         f"△: no {event} in half of the runs or more, small ▲: in some; their mean time to {event} "

@@ -4,9 +4,8 @@
 
 of a real learner in the lamps, 2-3-1. It goes to E[r z], which lies at an angle of its own from
 ∇η, the bias of β: a short trace forgets what came late. A long one takes longer to come there:
-it gathers the noise of all rewards in between. What is drawn beside it is computed, by
-`hebbviz.theory.network_chain`: the bias, and the expected angle after t steps, of t long against
-1/(1 − β).
+it gathers the noise of all rewards in between. The bias, and the expected angle after t steps (for
+t long against 1/(1 − β)), are computed by `hebbviz.theory.network_chain` and drawn beside it.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ STILL = 1e-9
 
 _TOGETHER = (
     "Together, n estimates x are at the angle to the gradient g whose cosine is "
-    "Σ x·g / (|g| √(n Σ |x|²)). What is expected of that is exact for t far above 1/(1 − β)."
+    "Σ x·g / (|g| √(n Σ |x|²)). Its expectation is exact for t far above 1/(1 − β)."
 )
 
 _POINTS = 100

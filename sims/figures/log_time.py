@@ -66,8 +66,8 @@ class Course:
 
     @property
     def over(self) -> Array:
-        """What a time to an event is over, with 95 % confidence, where it was not seen in
-        some lane, (n,); NaN elsewhere.
+        """Lower bound of a time to an event, with 95 % confidence, if some lane has not seen it,
+        (n,); NaN elsewhere.
         """
         if not self.measure.event:
             return np.full(len(self.steps), np.nan)

@@ -1,4 +1,4 @@
-"""Colours, one meaning each, told apart by the colour-blind (after Okabe and Ito, 2008)."""
+"""Colours, one meaning each, that the colour-blind can distinguish (after Okabe and Ito, 2008)."""
 
 from __future__ import annotations
 

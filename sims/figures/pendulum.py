@@ -100,8 +100,8 @@ _COLORS = {"quick": 5, "raw": 2, "paper": 4, "literal": 3}
 
 @dataclass(frozen=True)
 class _Curve:
-    """What came of a preset: the longest of its plans, and of all of them together the course of
-    frozen copies and, at the same steps, that of the runs while they learn.
+    """Results of a preset: the longest of its plans, and over all of them the course of frozen
+    copies and, at the same steps, that of the runs while they learn.
     """
 
     plan: Plan
@@ -206,7 +206,7 @@ def _plans(preset: str, steps: int, lanes: int, seed: int) -> list[Plan]:
 
 
 def measured_baselines(seed: int, episodes: int) -> dict[str, float]:
-    """Mean time to fall in s, over so many episodes, of random and of constant thrust."""
+    """Mean time to fall in s, over `episodes` episodes, of random and of constant thrust."""
 
     def by_chance(draws: Draws) -> Array:
         return np.where(draws(2) < 0.5, -1.0, 1.0)

@@ -73,7 +73,7 @@ _NOT_OF_THE_RESULT = ("name", "out", "scheduler", "quick", "seed")
 
 @dataclass(frozen=True, kw_only=True)
 class Order:
-    """What is to be drawn; None where the figure chooses. `hours` are simulated ones.
+    """A request for a figure; None where the figure chooses. `hours` are simulated hours.
 
     Raises InputError for an option that the figure does not take.
     """
@@ -125,8 +125,8 @@ class Order:
 
     @property
     def file(self) -> str:
-        """What its files are called, but for their endings: by the figure, and by all that was
-        asked of it, so that one with other options stands beside it.
+        """Name of its files without their endings: the figure and all options given, so that the
+        same figure with other options stands beside it.
         """
         words = [self.name]
         if self.task is not None:

@@ -49,16 +49,16 @@ def time_of(asked: Asked, task: Task) -> Time:
 
 
 def cut(length: int, about: int) -> tuple[int, int]:
-    """About so many equal pieces of it: how many, and how long. Together they are as near to
-    `length` as can be with pieces that long.
+    """Number and length of about `about` equal pieces. Together they are as near to `length` as
+    pieces of that length can be.
     """
     piece = max(1, round(length / about))
     return max(1, round(length / piece)), piece
 
 
 def steps_of(asked: Asked, task: Task, *, least: int = 1) -> int | None:
-    """What was asked for in steps; None if nothing was. Raises InputError for what is too long, or
-    too short to be drawn: less than `least` steps.
+    """The requested length in steps; None if none was requested. Raises InputError if it is too
+    long, or too short to be drawn: less than `least` steps.
     """
     for length in (asked.epochs, asked.hours, asked.steps):
         if length is not None:
@@ -67,7 +67,7 @@ def steps_of(asked: Asked, task: Task, *, least: int = 1) -> int | None:
 
 
 def _whole(length: float, unit: float, least: int) -> int:
-    """A length in whole steps, of which its unit has so many."""
+    """A length in whole steps; `unit` is the number of steps in its unit."""
     steps = length * unit
     if steps > MOST_STEPS:
         raise InputError(f"a run has at most {MOST_STEPS:,} steps, got {steps:.3g}: ask for fewer")

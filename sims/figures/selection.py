@@ -43,8 +43,8 @@ class OuterPlan(Plan):
 
 @dataclass(frozen=True)
 class Selection:
-    """What came of nested selection: errors of validation (settings, splits), which setting was
-    `chosen` (splits,), by its place in the grid, and the runs with it, in the order of the splits.
+    """Results of nested selection: validation errors (settings, splits), the place in the grid of
+    the `chosen` setting (splits,), and the runs with it, in the order of the splits.
     """
 
     validation: Array

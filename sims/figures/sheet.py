@@ -1,4 +1,4 @@
-"""What all figures share: their look, and their files with all that is needed to make them again.
+"""Shared by all figures: their look, and their files with all that is needed to make them again.
 
 A figure is three files of one name, PNG, SVG and the CSV behind them. Each says inside by which
 command, version and seed it was made. They hold no date and nothing of the machine, so that the
@@ -148,7 +148,7 @@ def blank(height: float, *, width: float = WIDTH) -> Figure:
 
 
 def _leave_foot(figure: Figure, foot: float) -> None:
-    """Keep so many inches free below the drawing, and above it those of a title of them all."""
+    """Keep this many inches free below the drawing, and room for a common title above it."""
     width, height = figure.get_size_inches()
     top = _MARGIN + (_TITLE if figure.texts else 0.0)
     edges = (_MARGIN / width, foot / height, 1 - 2 * _MARGIN / width, 1 - (foot + top) / height)
@@ -273,7 +273,7 @@ def apart(places: Sequence[float] | NDArray[np.float64], gap: float) -> NDArray[
 
 
 def _make_room(figure: Figure, rows: int) -> None:
-    """Make a figure higher where the foot has not room for so many lines."""
+    """Make a figure higher if its foot has no room for all lines."""
     more = _PITCH * max(0, rows - _ROWS)
     if more:
         width, height = figure.get_size_inches()

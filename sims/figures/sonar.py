@@ -2,7 +2,7 @@
 
 Errors are those of a frozen copy, in one pass over each set. Every run has a split of its own and
 its own first weights. Preset `best` was chosen by errors on these very patterns; so its figure is
-of the whole procedure, which chooses in each split anew (see `selection`). Beside the errors stand
+of the whole procedure, which chooses within each split (see `selection`). Beside the errors stand
 those that Gorman and Sejnowski (1988) reached by back-propagation with six hidden units.
 """
 
@@ -56,8 +56,8 @@ FROZEN = (
 )
 
 VALIDATED = (
-    "Validation: the settings of best were chosen by errors on these 208 patterns, so that this is "
-    "no test error; --preset best chooses in each split anew, and has one."
+    "Validation: the settings of best were chosen by errors on these 208 patterns, so this is "
+    "not a test error; --preset best chooses within each split, and has one."
 )
 
 _EVALUATIONS, _QUICK_EVALUATIONS = 50, 10
@@ -191,7 +191,7 @@ def _error_of_mean(errors: Array) -> float:
 
 
 def _of_patterns(errors: Array) -> float:
-    """The standard error of a share of so many patterns, each right or wrong."""
+    """Standard error of a proportion among this many patterns, each right or wrong."""
     p = float(errors.mean())
     return math.sqrt(p * (1.0 - p) / PATTERNS)
 

@@ -23,7 +23,7 @@ MOST_VALUES = 1000
 """Of a list, and points of a map."""
 STEPS, LANES = 10**6, 16
 PARTS = 5
-"""A run is told in fifths: what counts is the last one."""
+"""A run is divided into fifths; the last one is scored."""
 
 
 def parse_betas(text: str) -> tuple[float, ...]:
@@ -122,7 +122,7 @@ class Sweep:
 
     @classmethod
     def of(cls, args: argparse.Namespace) -> Sweep:
-        """What a command line asks for; raises InputError, ValueError and TaskError."""
+        """The sweep that a command line requests; raises InputError, ValueError and TaskError."""
         name = args.task or DEFAULT_TASK
         task = make_task(name, args.preset)
         given = {f.name: getattr(args, f.name) for f in fields(cls) if hasattr(args, f.name)}
@@ -191,7 +191,7 @@ class Sweep:
 
     @property
     def file(self) -> str:
-        """What the files of the first such map in a folder are called, but for their endings."""
+        """Name of the files of the first such map in a folder, without their endings."""
         return f"sweep-{task_word(self.task)}"
 
 

@@ -1,4 +1,4 @@
-"""What comes of a point of a map."""
+"""Outcome of one point of a map."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Outcome:
 
 
 def outcome(done: Done, task: Task) -> Outcome:
-    """What came of a plan."""
+    """Outcome of a plan."""
     curves: Curves = done.curves()
     last = {key: values[:, -1].copy() for key, values in curves.scores(task).items()}
     reward = np.array([tally.average_reward for tally in curves.last()])

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _MOVES = 0.01
 """γ times steps, below which weights stay where they are: r and z are about 1 at most."""
 KEPT = "runs"
-"""What was run stays in a folder of this name: a finer map goes on from it."""
+"""Results stay in a folder of this name, so that a finer map continues from them."""
 
 
 def make(

@@ -1,7 +1,7 @@
 """Tell a signal from noise: the paper's filtering problem, at its smallest.
 
-A hidden signal is +1 or -1 and switches with probability 0.02 a step. What is seen of it is wrong
-with probability 0.2. The output is to say what the signal is now; the reward is 1 if it is right.
+A hidden signal is +1 or -1 and switches with probability 0.02 a step. The observation is wrong
+with probability 0.2. The output says what the signal is now; the reward is 1 if it is right.
 
 Who answers what is seen is right 0.8 of the time, which is the best without a memory and the
 baseline here. Who remembers can do better: the exact Bayes filter, which weighs all that was ever

@@ -3,7 +3,7 @@
 A traffic light goes red, amber, green, amber, red, …, and at each step stays as it is with
 probability 0.05. The two outputs say which light comes next; the reward is 1 if they are right.
 
-What comes after amber depends on what was before it, so the present light does not tell enough.
+The light after amber depends on the one before it, so the present light is not enough.
 Shares of right predictions, exact:
 
     the same as now                     STAYS = 0.05

@@ -126,7 +126,7 @@ def _turn(world, lane, data, seed, number, step):  # type: ignore[no-untyped-def
 
 @inlined
 def _show(world, width, data, observation):  # type: ignore[no-untyped-def]
-    """What all lanes see of their patterns; for one that shows the same pattern, what it saw."""
+    """Show each lane its pattern; a lane that shows the same pattern keeps its observation."""
     pattern = row(world, _PATTERN, width)
     for j in range(ENERGIES):
         energy, seen = row(data, j, PATTERNS), row(observation, j, width)
@@ -170,7 +170,7 @@ GRID = (
     Setting(f"{BEST}:scaled=no,constant=no", 0.1),
     Setting(f"{BEST}:scaled=no,constant=no", 0.2),
 )
-"""From these `figure sonar --preset best` chooses, in each split anew: in 100 splits 31, 31, 19 and
+"""`figure sonar --preset best` chooses one of these within each split: in 100 splits 31, 31, 19 and
 19 times. Preset `best` is the one chosen most often; of the two that are level it is the one with
 the lesser validation error (16.7 %, the other 16.8 %). As these 208 patterns chose it, its error on
 held-out ones is a validation error, whatever the split.
@@ -239,7 +239,7 @@ class Sonar(CompiledTask):
         self._hold_for(self.preset.options.get("hold", HOLD))
 
     def _hold_for(self, steps: int) -> None:
-        """Show each pattern for so many steps."""
+        """Show each pattern for this many steps."""
         self.hold, self.epoch = steps, self.training * steps
         self._data = self.data()
 

@@ -22,7 +22,7 @@ UNSTABLE = {"seconds", "steps_per_second", "bytes", "version", "versions", "mach
 
 
 def command(folder: Path, *words: str) -> str:
-    """What a command of the checkout prints; raises RuntimeError if it fails."""
+    """Output of a command of the checkout; raises RuntimeError if it fails."""
     environment = os.environ | {"PYTHONPATH": str(digest_source.root), "HEBBVIZ_TRACEBACK": "1"}
     made = subprocess.run(
         [sys.executable, "-m", "hebbviz", *words], cwd=folder, env=environment, check=False,

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 Parts = dict[str, Any]
-"""What a case comes to, by name: arrays, numbers, texts, and lists and dicts of such."""
+"""Results of a case by name: arrays, numbers, strings, and lists and dicts of these."""
 
 root = Path(__file__).resolve().parents[2]
 """The checkout that is looked at."""

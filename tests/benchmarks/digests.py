@@ -1,15 +1,15 @@
-"""Digests of runs, files and figures: no change of the source that is to change no run changes one.
+"""Digests of runs, files and figures: a refactoring changes none of them.
 
     python tests/benchmarks/digests.py [--only GLOB]                  prints `name digest`, sorted
     python tests/benchmarks/digests.py --against FOLDER [--only GLOB] prints what differs there
     python tests/benchmarks/digests.py --list                         prints the names of the cases
 
-FOLDER is another checkout, an older one say. This very file is run on it too, on the same machine
-and with the same libraries: digests differ between processors, so none are kept. The exit code is 1
-if anything differs or fails. What a checkout compiles it keeps for itself.
+FOLDER is another checkout, for example an older one. This file is run on it too, on the same
+machine and with the same libraries: digests differ between processors, so none are stored. The exit
+code is 1 if any case differs or fails. Each checkout keeps its compiled code to itself.
 
-Where it can, it uses the command line and the files, whose names stay (`digest_files.py`); what it
-needs of the Python source, whose names may change, stands in `digest_source.py`. `digest_cases.py`
+Where possible it uses the command line and files, whose names are stable (`digest_files.py`); names
+of the Python source, which may change, are in `digest_source.py`. `digest_cases.py`
 lists all cases. Times, sizes of recordings, versions and the kind of machine are left out.
 """
 

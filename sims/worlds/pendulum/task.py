@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 _SI = (1.0, 1.0, 1.0, 1.0)
 _DRAWN = 2.5
-"""Puck and rod are drawn so many times their size, so that the pole can be seen to sway."""
+"""Scale at which puck and rod are drawn, so that the pole can be seen to sway."""
 _PUCK, _ROD, _BOB, _WALL = 2 * PLANT.puck_radius * _DRAWN, 0.045, 0.2, 0.06
 """Diameters as drawn, and the walls, in m."""
 
