@@ -51,7 +51,7 @@ class Pendulum(Task):
             0.985,
             1e-2,
             "as quick, with 16 hidden units, a trace a third longer and a reward baseline, which "
-            "the paper has not; after 10⁶ steps all of 192 runs stay up for over 160 s",
+            "the paper does not have; after 10⁶ steps all of 192 runs stay up for over 160 s",
             {"gains": (1.0, 2.0, 10.0, 2.0)},
             rule="baseline:time=10000",
             hidden=(16,),
